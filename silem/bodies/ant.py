@@ -1,0 +1,74 @@
+"""Ant0 to Ant6: Ant with longer links next to its body (Figure 2c)."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from silem.bodies import mjcf
+from silem.bodies.body import AliveRule, Body, Motor
+
+LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
+
+_POWER = 2.5 * 100.0  # PyBullet's Ant task: its power times the default joint coefficient
+_LEG_SIGNS = {1: (1, 1), 2: (-1, 1), 3: (-1, -1), 4: (1, -1)}  # of x and y, by leg number
+_FEET = ("front_left_foot", "front_right_foot", "left_back_foot", "right_back_foot")
+
+
+def model(offset: float) -> str:
+    """Return the MJCF text of an Ant whose innermost links reach `offset` in x and in y.
+
+    In the model that link is the geom `aux_i_geom`, and the body `aux_i` hangs on its end; an
+    offset of 0.2 is PyBullet's own file, byte for byte.
+    """
+    xml = mjcf.source("ant.xml")
+    if offset == LINK_OFFSETS["Ant0"]:
+        return xml
+    for leg, (x, y) in _LEG_SIGNS.items():
+        end = (x * offset, y * offset, 0)
+        xml = mjcf.set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", mjcf.numbers(0, 0, 0, *end))
+        xml = mjcf.set_attribute(xml, "body", f"aux_{leg}", "pos", mjcf.numbers(*end))
+    return xml
+
+
+def body(name: str, offset: float) -> Body:
+    """Return the registry entry of an Ant whose innermost links have the given offset."""
+    length = round(math.sqrt(2) * offset, 4)
+    return Body(
+        name=name,
+        family="ant",
+        engine="bullet",
+        description=f"Ant whose links closest to the body have offset {offset:.2f}",
+        build=partial(model, offset),
+        root="torso",
+        root_joints=(),
+        motors=tuple(
+            Motor(f"{joint}_{leg}", _POWER) for leg in _LEG_SIGNS for joint in ("hip", "ankle")
+        ),
+        feet=_FEET,
+        # 22 parts: the torso, the floor, and per leg the inner link, the hip's massless link,
+        # the middle link (aux), the ankle's massless link and the foot. Aux's centre lies halfway
+        # between hip and ankle, so aux + ankle = 3 aux - hip. Inner links and hips are opposite
+        # in pairs around the torso: the four inner links less nothing, plus four hips, less four
+        # hips, leave four times the torso, which is twice two opposite inner links. (The torso's
+        # own position would not do: PyBullet's links trail it by a part of a step.)
+        part_weights=(
+            ("torso", 1.0),
+            ("front_left_leg", 2.0),
+            ("left_back_leg", 2.0),
+            *((f"aux_{leg}", 3.0) for leg in _LEG_SIGNS),
+            *((foot, 1.0) for foot in _FEET),
+        ),
+        n_parts=22,
+        alive=AliveRule(min_height_m=0.26, terminates=True),
+        length=("innermost link's offset", offset),
+        limbs=(
+            ("torso radius", 0.25),
+            ("innermost link", length),
+            ("middle link", round(math.sqrt(2) * 0.2, 4)),
+            ("foot", round(math.sqrt(2) * 0.4, 4)),
+        ),
+    )
+
+
+BODIES = tuple(body(name, offset) for name, offset in LINK_OFFSETS.items())

@@ -1,0 +1,93 @@
+"""What a body is: data only. How to build it, what moves, what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+Family = Literal["halfcheetah", "ant"]
+Engine = Literal["bullet", "mujoco"]
+
+
+@dataclass(frozen=True)
+class Motor:
+    """One torque motor on one hinge.
+
+    Attributes:
+        joint: Name of the hinge in the model.
+        torque_n_m: Torque at action 1, in newton metres.
+    """
+
+    joint: str
+    torque_n_m: float
+
+
+@dataclass(frozen=True)
+class AliveRule:
+    """When a body counts as upright: it earns +1 per step upright and -1 otherwise.
+
+    Attributes:
+        min_height_m: Height the torso must exceed.
+        max_pitch_rad: Pitch the torso must stay below, in absolute value.
+        no_contact: Names of feet that must not touch the floor.
+        terminates: Whether the episode ends when the body is no longer upright.
+    """
+
+    min_height_m: float = -float("inf")
+    max_pitch_rad: float = float("inf")
+    no_contact: tuple[str, ...] = ()
+    terminates: bool = False
+
+
+@dataclass(frozen=True)
+class Body:
+    """One entry of the registry.
+
+    Attributes:
+        name: Name in the paper, for example "HC2".
+        family: Bodies of one family share joints, observation and task.
+        engine: Simulator that steps it.
+        description: One sentence for tables and figure captions.
+        build: Returns the model file's text (MJCF).
+        root: Link whose pose and velocity enter the observation.
+        root_joints: Joints along which a planar root moves (x, z, pitch); empty if it floats.
+        motors: The actuators, in the order of the action and of the joints in the model.
+        feet: Links whose floor contact is observed, in the order of the observation.
+        part_weights: How often each link counts in the mean position that is the measure of
+            progress. The mean runs over all links of the model and the floor; links that
+            coincide, or that follow from others, are counted with those (see `n_parts`).
+        n_parts: Number of parts in that mean.
+        alive: The alive rule.
+        length: Name and value in metres of the length that sets the body apart in its family.
+        limbs: Lengths to print, in metres, by name.
+    """
+
+    name: str
+    family: Family
+    engine: Engine
+    description: str
+    build: Callable[[], str] = field(repr=False)
+    root: str
+    root_joints: tuple[str, ...]
+    motors: tuple[Motor, ...]
+    feet: tuple[str, ...]
+    part_weights: tuple[tuple[str, float], ...]
+    n_parts: int
+    alive: AliveRule
+    length: tuple[str, float]
+    limbs: tuple[tuple[str, float], ...]
+
+    def model_xml(self) -> str:
+        """Return the model file's text."""
+        return self.build()
+
+    @property
+    def action_size(self) -> int:
+        """Number of motors."""
+        return len(self.motors)
+
+    @property
+    def observation_size(self) -> int:
+        """Eight numbers of the torso, two per motor, one per foot."""
+        return 8 + 2 * len(self.motors) + len(self.feet)

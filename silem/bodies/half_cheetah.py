@@ -1,0 +1,74 @@
+"""HC0, HC1 and HC2: HalfCheetah with a torso of length 1, 2 and 3 (Figure 2a)."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from silem.bodies import mjcf
+from silem.bodies.body import AliveRule, Body, Motor
+
+TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
+
+_POWER = 0.90  # of PyBullet's HalfCheetah task, on top of each joint's coefficient
+_COEFFICIENTS = {
+    "bthigh": 120.0,
+    "bshin": 90.0,
+    "bfoot": 60.0,
+    "fthigh": 140.0,
+    "fshin": 60.0,
+    "ffoot": 30.0,
+}
+_HEAD_OVERHANG_M = 0.1  # from the torso's front end to the middle of the head
+_LIMBS_M = (
+    ("head", 0.30),
+    ("back thigh", 0.29),
+    ("back shin", 0.30),
+    ("back foot", 0.188),
+    ("front thigh", 0.266),
+    ("front shin", 0.212),
+    ("front foot", 0.14),
+)
+
+
+def model(torso_length_m: float) -> str:
+    """Return the MJCF text of a HalfCheetah with a torso of the given length.
+
+    The torso's capsule is stretched; the head and both thighs keep hanging on its ends. Length 1
+    is PyBullet's own file, byte for byte.
+    """
+    xml = mjcf.source("half_cheetah.xml")
+    if torso_length_m == TORSO_LENGTHS_M["HC0"]:
+        return xml
+    half = torso_length_m / 2
+    span = mjcf.numbers(-half, 0, 0, half, 0, 0)
+    head = mjcf.numbers(half + _HEAD_OVERHANG_M, 0, 0.1)
+    xml = mjcf.set_attribute(xml, "geom", "torso", "fromto", span)
+    xml = mjcf.set_attribute(xml, "geom", "head", "pos", head)
+    xml = mjcf.set_attribute(xml, "body", "bthigh", "pos", mjcf.numbers(-half, 0, 0))
+    return mjcf.set_attribute(xml, "body", "fthigh", "pos", mjcf.numbers(half, 0, 0))
+
+
+def body(name: str, torso_length_m: float) -> Body:
+    """Return the registry entry of a HalfCheetah with a torso of the given length."""
+    limbs = tuple(_COEFFICIENTS)
+    return Body(
+        name=name,
+        family="halfcheetah",
+        engine="bullet",
+        description=f"HalfCheetah with a torso of length {torso_length_m:g}",
+        build=partial(model, torso_length_m),
+        root="torso",
+        root_joints=("ignorex", "ignorez", "ignorey"),
+        motors=tuple(Motor(joint, _POWER * c) for joint, c in _COEFFICIENTS.items()),
+        feet=("ffoot", "fshin", "fthigh", "bfoot", "bshin", "bthigh"),
+        # PyBullet splits every joint into a massless link and the body proper, which coincide;
+        # the torso carries the three massless links of its root joints. With the floor: 17.
+        part_weights=(("torso", 4.0), *((limb, 2.0) for limb in limbs)),
+        n_parts=17,
+        alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
+        length=("torso", torso_length_m),
+        limbs=(("torso", torso_length_m), *_LIMBS_M),
+    )
+
+
+BODIES = tuple(body(name, length) for name, length in TORSO_LENGTHS_M.items())
