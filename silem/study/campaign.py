@@ -1,0 +1,293 @@
+"""Campaigns: many runs on one machine, in a pool of worker processes.
+
+Every worker is one ``python -m silem ...`` command. A worker that is killed is started again and
+goes on from its checkpoint; a campaign that is stopped goes on where it was when asked for again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tqdm import tqdm
+
+from silem import files, paths
+from silem.config import BUDGETS, DEMONSTRATOR_SEED, TRIAL_SEEDS, Budget, RunConfig
+from silem.demonstrations import file_of
+from silem.errors import SilemError, choose
+from silem.study import runs
+from silem.study.record import RunRecord
+from silem.study.training import PROGRESS
+
+MAX_KILLS = 5
+"""How often a worker may be killed by a signal before its task counts as failed."""
+
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
+
+    method: str
+    body: str
+    demonstrations: str | None = None
+
+    def config(self, budget: str | Budget, seed: int, study: str | None = None) -> RunConfig:
+        """Return one trial's configuration."""
+        return RunConfig.create(
+            self.body, self.method, self.demonstrations, budget, seed, study=study
+        )
+
+
+_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
+_STUDIES = {
+    # Figure 2b and Table 1
+    "halfcheetah": (
+        *(Cell("ppo", body) for body in _HALF_CHEETAHS),
+        *(Cell("silem", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell("silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell("silem-minus-own", body, body) for body in _HALF_CHEETAHS),
+        Cell("silem-mlp", "HC0", "HC0"),
+        *(Cell("random", body) for body in _HALF_CHEETAHS),
+    )
+}
+
+
+def cells(study: str) -> list[Cell]:
+    """Return a study's cells, experts first.
+
+    Raises:
+        SilemError: There is no such study.
+    """
+    return list(_STUDIES[choose("study", study, _STUDIES)])
+
+
+def study_configs(
+    study: str, budget: str | Budget, n_trials: int | None = None, **only: Sequence[str] | None
+) -> list[RunConfig]:
+    """Return the runs of a study: the first trial of every cell before any second.
+
+    Args:
+        study: The study.
+        budget: A budget's name, or a `Budget`.
+        n_trials: Trials per cell; None means the budget's own number.
+        **only: ``method=[...]`` and ``body=[...]`` keep those cells alone.
+
+    Raises:
+        SilemError: An unknown study or budget, or more trials than there are fixed seeds.
+    """
+    if isinstance(budget, str):
+        budget = BUDGETS[choose("budget", budget, BUDGETS)]
+    n_trials = budget.n_trials if n_trials is None else n_trials
+    if not 1 <= n_trials <= len(TRIAL_SEEDS):
+        raise SilemError(f"trials must be 1 to {len(TRIAL_SEEDS)}, not {n_trials}")
+    kept = [
+        cell
+        for cell in cells(study)
+        if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
+    ]
+    return [cell.config(budget, seed) for seed in TRIAL_SEEDS[:n_trials] for cell in kept]
+
+
+@dataclass
+class Task:
+    """One command for a worker.
+
+    Attributes:
+        name: A run's id, or "demonstrations HC0".
+        arguments: What follows ``python -m silem``.
+        needs: Names of the tasks that must be done before.
+        folder: Where its log goes and its progress file may stand.
+    """
+
+    name: str
+    arguments: list[str]
+    folder: Path
+    needs: set[str] = field(default_factory=set)
+
+
+def plan(configs: Sequence[RunConfig]) -> list[Task]:
+    """Return the commands that are still to be run, each after what it needs.
+
+    An imitator whose expert's demonstrations are not there yet waits for the expert's run (the
+    trial with seed `DEMONSTRATOR_SEED`) and for its recording.
+
+    Raises:
+        SilemError: Demonstrations are missing whose expert is neither finished nor among
+            `configs`.
+    """
+    tasks: dict[str, Task] = {}
+    waiting = {config.run_id for config in configs if runs.find(config.run_id) is None}
+    for config in configs:
+        if config.run_id not in waiting or config.run_id in tasks:
+            continue
+        needs = set()
+        body = config.demonstrations
+        if body and not file_of(body).exists():
+            recording = _recording(config, waiting)
+            tasks.setdefault(recording.name, recording)
+            needs.add(recording.name)
+        folder = runs.run_folder(config)
+        arguments = ["run", "--quiet", "--config", str(folder / "config.json")]
+        tasks[config.run_id] = Task(config.run_id, arguments, folder, needs)
+    for config in configs:
+        if config.run_id in tasks:
+            files.write_json(runs.run_folder(config) / "config.json", config.to_dict())
+    return list(tasks.values())
+
+
+def _recording(config: RunConfig, waiting: set[str]) -> Task:
+    """Return the task that records the demonstrations that a run needs."""
+    body, budget = config.demonstrations, config.budget
+    expert = RunConfig.create(body, "ppo", None, budget, DEMONSTRATOR_SEED, study=config.study)
+    if expert.run_id not in waiting and runs.find(expert.run_id) is None:
+        raise SilemError(
+            f"{config.run_id} needs demonstrations of {body}, and its expert {expert.run_id} is"
+            f" neither finished nor part of this campaign; first: {expert.command}"
+        )
+    arguments = ["demonstrations", "--quiet", "--run", expert.run_id]
+    folder = paths.runs_dir() / config.study / f"demonstrations_{body}"
+    return Task(f"demonstrations {body}", arguments, folder, {expert.run_id} & waiting)
+
+
+def campaign(
+    configs: Sequence[RunConfig], n_workers: int = 2, progress: bool = True
+) -> list[RunRecord]:
+    """Make every run that is not finished yet, in the order given, and return all records.
+
+    Args:
+        configs: The runs.
+        n_workers: Worker processes at a time; each keeps one core busy.
+        progress: Show one overall bar, and a line per running run.
+
+    Returns:
+        The records, in the order of `configs`.
+
+    Raises:
+        SilemError: Some runs failed; all others were finished first.
+        KeyboardInterrupt: On Ctrl-C or SIGTERM, after the workers were stopped.
+    """
+    if n_workers < 1:
+        raise SilemError(f"workers must be 1 or more, not {n_workers}")
+    pool = _Pool(plan(configs), n_workers, progress, total=len(configs))
+    with runs.sigterm_as_interrupt():
+        pool.work()
+    if pool.failures:
+        raise SilemError("; ".join(pool.failures.values()))
+    return [record for config in configs if (record := runs.find(config.run_id)) is not None]
+
+
+class _Pool:
+    """The tasks under way, and what came of those before."""
+
+    def __init__(self, tasks: list[Task], n_workers: int, progress: bool, total: int) -> None:
+        self.failures: dict[str, str] = {}
+        self._pending = tasks
+        self._done: set[str] = set()
+        self._running: dict[Future[str | None], Task] = {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._n_workers = n_workers
+        self._stopping = False
+        todo = sum(task.arguments[0] == "run" for task in tasks)
+        hidden = not progress
+        self._overall = tqdm(
+            total=total, initial=total - todo, desc="runs", unit="run", disable=hidden
+        )
+        self._lines = [
+            tqdm(total=0, position=i + 1, bar_format="{desc}", disable=hidden, leave=False)
+            for i in range(n_workers)
+        ]
+
+    def work(self) -> None:
+        """Run everything; stops the workers when interrupted."""
+        with ThreadPoolExecutor(self._n_workers) as executor:
+            try:
+                while self._pending or self._running:
+                    self._submit_ready(executor)
+                    finished, _ = wait(self._running, timeout=1.0, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        self._settle(self._running.pop(future), future.result())
+                    self._show()
+            except BaseException:
+                self._stopping = True
+                for process in list(self._processes.values()):
+                    process.send_signal(signal.SIGTERM)
+                raise
+            finally:
+                for bar in (*self._lines, self._overall):
+                    bar.close()
+
+    def _submit_ready(self, executor: ThreadPoolExecutor) -> None:
+        for task in list(self._pending):
+            if len(self._running) == self._n_workers:
+                return
+            if broken := task.needs & self.failures.keys():
+                self._pending.remove(task)
+                self._settle(task, f"{task.name} needs {', '.join(sorted(broken))}, which failed")
+            elif task.needs <= self._done:
+                self._pending.remove(task)
+                self._running[executor.submit(self._execute, task)] = task
+
+    def _settle(self, task: Task, failure: str | None) -> None:
+        if failure is None:
+            self._done.add(task.name)
+        else:
+            self.failures[task.name] = failure
+            self._overall.write(failure)
+        self._overall.update(task.arguments[0] == "run" and failure is None)
+
+    def _execute(self, task: Task) -> str | None:
+        """Run a task's command until it ends by itself; return what went wrong, if anything."""
+        log = task.folder / "log.txt"
+        task.folder.mkdir(parents=True, exist_ok=True)
+        for _ in range(MAX_KILLS):
+            if self._stopping:
+                return f"{task.name} was not started"
+            code = self._spawn(task, log)
+            if code == 0:
+                return None
+            if code > 0 or self._stopping:
+                lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
+                return f"{task.name} failed: {lines[-1]} (log: {log})"
+        return f"{task.name} was killed {MAX_KILLS} times"
+
+    def _spawn(self, task: Task, log: Path) -> int:
+        command = [sys.executable, "-m", "silem", *task.arguments]
+        environment = os.environ | {"OMP_NUM_THREADS": "1"}
+        with open(log, "wb") as stream:
+            # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then
+            # stops each worker once.
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream,
+                env=environment, cwd=paths.REPO, start_new_session=True,
+            )  # fmt: skip
+            self._processes[task.name] = process
+            if self._stopping:
+                process.send_signal(signal.SIGTERM)
+            code = process.wait()
+        del self._processes[task.name]
+        return code
+
+    def _show(self) -> None:
+        lines = [_describe(task) for task in self._running.values()]
+        for i, bar in enumerate(self._lines):
+            bar.set_description_str(lines[i] if i < len(lines) else "")
+        self._overall.refresh()
+
+
+def _describe(task: Task) -> str:
+    try:
+        state = json.loads((task.folder / PROGRESS).read_text())
+    except (OSError, ValueError):  # not there yet, or just gone
+        return f"  {task.name}"
+    value = state["return"]
+    shown = "" if value is None else f", return {value:.0f}"
+    return f"  {task.name}: {state['iteration']}/{state['n_iterations']} iterations{shown}"

@@ -1,0 +1,211 @@
+"""Rolling out a fixed policy: evaluation by the true reward, and recording demonstrations.
+
+Policies act stochastically, as in training and in the demonstrations.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from tqdm import tqdm
+
+from silem import bodies, seeding
+from silem.demonstrations import Demonstrations
+from silem.envs import make_vec
+from silem.imitation.features import INFO_KEY, LearnerFeatures
+from silem.imitation.silem import SILEM
+from silem.imitation.windows import episode_windows
+
+EVALUATION_SEED = seeding.child_seed(0, "evaluation")
+"""The seed of every evaluation, whatever the method and the trial: all meet the same starts."""
+
+DEMONSTRATION_SEED = seeding.child_seed(0, "demonstrations")
+MAX_ENVS = 8
+
+
+class Policy(Protocol):
+    """Whatever acts: a stable-baselines3 model or policy, or `RandomPolicy`."""
+
+    def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, Any]:
+        """Return actions (E, A) for observations (E, O), and a state that is not used."""
+
+
+class RandomPolicy:
+    """Acts uniformly at random in [-1, 1], the lowest mark of the paper's Figure 2.
+
+    Args:
+        n_actions: A, the number of actuators.
+    """
+
+    def __init__(self, n_actions: int) -> None:
+        self._n_actions = n_actions
+        self._generator = seeding.generator(0)
+
+    def reseed(self, seed: int) -> None:
+        """Restart the random actions from a seed."""
+        self._generator = seeding.generator(seed, "random policy")
+
+    def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, None]:
+        """Return random actions (E, A); they ignore the observations (E, O)."""
+        size = (len(observation), self._n_actions)
+        return self._generator.uniform(-1.0, 1.0, size).astype(np.float32), None
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode.
+
+    Attributes:
+        features: Skeletal features of all T + 1 states, (T + 1, F) float32.
+        episode_return: Sum of the true rewards.
+        speed_m_s: Mean forward speed.
+        upright: Fraction of the steps with the alive bonus.
+    """
+
+    features: np.ndarray
+    episode_return: float
+    speed_m_s: float
+    upright: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a policy achieved over `n_episodes` episodes, by the true reward."""
+
+    n_episodes: int
+    return_mean: float
+    return_std: float
+    returns: list[float]
+    speed_m_s: float
+    upright: float
+    disc_reward_mean: float | None  # per episode; None where there is no discriminator
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evaluation as plain JSON types."""
+        return dataclasses.asdict(self)
+
+
+def episodes(
+    policy: Policy, body: str, n_episodes: int, seed: int, *, progress: bool = False
+) -> Iterator[Episode]:
+    """Roll out a policy for exactly `n_episodes` episodes.
+
+    Every environment's number of episodes is fixed beforehand, so that short episodes are not
+    over-represented.
+
+    Args:
+        policy: What acts. If it has ``reseed``, its random numbers restart from `seed`.
+        body: The body's name.
+        n_episodes: How many episodes.
+        seed: Seed of the environments and of the policy.
+        progress: Show a progress bar.
+
+    Yields:
+        The episodes, in the order in which they end.
+    """
+    n_envs = min(MAX_ENVS, n_episodes)
+    left = np.full(n_envs, n_episodes // n_envs)
+    left[: n_episodes % n_envs] += 1
+    env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"))
+    bar = tqdm(total=n_episodes, desc=f"episodes of {body}", disable=not progress, leave=False)
+    try:
+        if hasattr(policy, "reseed"):
+            policy.reseed(seeding.child_seed(seed, "policy"))
+        observations = env.reset()
+        first = np.asarray(env.reset_infos[0].get(INFO_KEY, observations[0]))
+        of_learner = LearnerFeatures(first.size)
+        states = [[row] for row in of_learner.first(env, observations)]
+        while left.any():
+            actions, _ = policy.predict(observations, deterministic=False)
+            observations, _, dones, infos = env.step(actions)
+            reached, restarted = of_learner.reached(env, observations, dones, infos)
+            for i in np.flatnonzero(left):
+                states[i].append(reached[i].copy())
+                if dones[i]:
+                    yield _episode(states[i], infos[i]["episode"])
+                    states[i] = [restarted[i]]
+                    left[i] -= 1
+                    bar.update()
+    finally:
+        bar.close()
+        env.close()
+
+
+def _episode(states: list[np.ndarray], info: dict[str, float]) -> Episode:
+    features = np.stack(states).astype(np.float32)
+    return Episode(features, float(info["r"]), float(info["speed_m_s"]), float(info["upright"]))
+
+
+def evaluate(
+    policy: Policy,
+    body: str,
+    n_episodes: int,
+    seed: int = EVALUATION_SEED,
+    model: SILEM | None = None,
+    *,
+    progress: bool = False,
+) -> Evaluation:
+    """Evaluate a policy over `n_episodes` episodes.
+
+    Args:
+        policy: What acts (see `episodes`).
+        body: The body's name.
+        n_episodes: How many episodes.
+        seed: Seed of the environments and of the policy.
+        model: A SILEM model whose discriminator scores the episodes, if any.
+        progress: Show a progress bar.
+    """
+    returns, speeds, uprights, scores = [], [], [], []
+    for episode in episodes(policy, body, n_episodes, seed, progress=progress):
+        returns.append(episode.episode_return)
+        speeds.append(episode.speed_m_s)
+        uprights.append(episode.upright)
+        if model is not None:
+            windows = episode_windows(episode.features, model.window)
+            scores.append(float(model.score_windows(windows).sum()))
+    return Evaluation(
+        n_episodes=n_episodes,
+        return_mean=float(np.mean(returns)),
+        return_std=float(np.std(returns)),
+        returns=[round(value, 3) for value in returns],
+        speed_m_s=float(np.mean(speeds)),
+        upright=float(np.mean(uprights)),
+        disc_reward_mean=float(np.mean(scores)) if scores else None,
+    )
+
+
+def random_policy(body: str) -> RandomPolicy:
+    """Return the random policy of a body."""
+    return RandomPolicy(bodies.get(body).action_size)
+
+
+def record_episodes(
+    policy: Policy,
+    body: str,
+    n_trajectories: int = 20,
+    *,
+    run_id: str = "",
+    seed: int = DEMONSTRATION_SEED,
+    progress: bool = False,
+) -> Demonstrations:
+    """Record state-only demonstrations of a policy.
+
+    Args:
+        policy: The expert (see `episodes`).
+        body: The expert's body.
+        n_trajectories: How many episodes.
+        run_id: The expert's run, "" if it is no run's.
+        seed: Seed of the environments and of the policy.
+        progress: Show a progress bar.
+    """
+    recorded = list(episodes(policy, body, n_trajectories, seed, progress=progress))
+    return Demonstrations(
+        tuple(episode.features for episode in recorded),
+        tuple(episode.episode_return for episode in recorded),
+        body,
+        run_id,
+    )

@@ -1,0 +1,110 @@
+"""The record of a finished run, and where its code and libraries came from."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import platform
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from silem import files, paths
+from silem.config import RunConfig
+from silem.errors import SilemError, choose
+
+RECORD = "record.json"
+PACKAGES = ("gymnasium", "numpy", "pybullet", "stable-baselines3", "torch")
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """A finished run, as ``record.json`` holds it.
+
+    Attributes:
+        run_id: The run's name, which ends in a hash of its configuration.
+        status: ``"finished"``.
+        config: `RunConfig.to_dict`.
+        evaluation: `silem.study.evaluate.Evaluation.to_dict`.
+        training: ``n_steps``, ``steps_per_s`` and ``disc_reward_last`` (per episode, None where
+            there is no discriminator).
+        provenance: Commit, environment and package versions of the session that finished the run,
+            and ``earlier_commits`` of the sessions it went on from.
+        demonstrations_sha256: Hash of the demonstrations' file, None where none were used.
+        wall_time_s: Time of training and evaluation, over all sessions.
+        files: SHA-256 of every file beside the record, by name.
+        folder: Where the record was read from or written to; no part of its content.
+    """
+
+    run_id: str
+    status: str
+    config: dict[str, Any]
+    evaluation: dict[str, Any]
+    training: dict[str, Any]
+    provenance: dict[str, Any]
+    demonstrations_sha256: str | None
+    wall_time_s: float
+    files: dict[str, str]
+    folder: Path = dataclasses.field(compare=False)
+
+    @classmethod
+    def load(cls, path: Path) -> RunRecord:
+        """Read ``record.json``, or the one in a folder.
+
+        Raises:
+            SilemError: The file is missing, damaged, or no run record.
+        """
+        path = Path(path)
+        path = path / RECORD if path.is_dir() else path
+        content = files.read_json(path)
+        names = [field.name for field in dataclasses.fields(cls) if field.name != "folder"]
+        if not isinstance(content, dict) or sorted(content) != sorted(names):
+            raise SilemError(f"{path} is no run record (it needs the keys {', '.join(names)})")
+        return cls(**content, folder=path.parent)
+
+    def save(self, folder: Path) -> None:
+        """Write ``record.json`` into a folder."""
+        content = dataclasses.asdict(self)
+        del content["folder"]
+        files.write_json(folder / RECORD, content)
+
+    def run_config(self) -> RunConfig:
+        """Return the configuration, checked anew."""
+        return RunConfig.from_dict(self.config)
+
+    def file(self, name: str) -> Path:
+        """Return the path of one of the record's files, after checking its hash.
+
+        Raises:
+            SilemError: The run has no such file, or it is not the one that was recorded.
+        """
+        path = self.folder / choose(f"file of run {self.run_id}", name, self.files)
+        if files.sha256(path) != self.files[name]:
+            raise SilemError(f"{path} is not the file that its record describes (SHA-256 differs)")
+        return path
+
+
+def provenance() -> dict[str, Any]:
+    """Return what the code runs on: commit, pinned environment, package versions, Python.
+
+    ``git_dirty`` tells whether the package's own code differs from the commit. Without git both
+    are None.
+    """
+    status = _git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
+    environment = paths.REPO / "environment.txt"
+    return {
+        "git_commit": _git("rev-parse", "HEAD"),
+        "git_dirty": None if status is None else bool(status),
+        "environment_sha256": files.sha256(environment) if environment.is_file() else None,
+        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "python": platform.python_version(),
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    command = ["git", "-C", str(paths.REPO), *arguments]
+    try:
+        return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None

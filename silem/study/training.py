@@ -1,0 +1,226 @@
+"""Building a run's model and training it in segments (see `silem.study.checkpoint`)."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
+from tqdm import tqdm
+
+from silem import files, seeding
+from silem.config import RunConfig
+from silem.demonstrations import Demonstrations
+from silem.imitation.silem import SILEM
+from silem.learning.ppo import PPO
+from silem.study import curve
+from silem.study.checkpoint import CHECKPOINT, Checkpoint
+
+PROGRESS = "progress.json"
+_PROGRESS_EVERY_S = 2.0
+# What only SILEM's constructor takes, under the same names as in HyperParameters.
+_SILEM_ARGUMENTS = (
+    "window",
+    "n_disc_updates",
+    "n_transform_updates",
+    "transform_lr_decay",
+    "disc_learning_rate",
+    "transform_learning_rate",
+    "disc_hidden",
+    "disc_entropy_coef",
+    "gradient_penalty",
+)
+
+
+def make_policy_model(config: RunConfig, env: VecEnv) -> PPO:
+    """Build the untrained policy of a run as a plain PPO model, whatever its method.
+
+    PPO is that of OpenAI baselines' ppo1, the paper's: separate policy and value networks, linear
+    decay of the learning rate to 0, no gradient clipping, no entropy bonus.
+
+    Args:
+        config: The run; any method but ``random``.
+        env: The environments.
+    """
+    return PPO("MlpPolicy", env, **_ppo_arguments(config))
+
+
+def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
+    """Build a run's untrained model.
+
+    Args:
+        config: The run; any method but ``random``.
+        env: The training environments.
+        demonstrations: The expert's, at least as many as the run uses; None for an expert.
+    """
+    if config.transform is None:
+        return make_policy_model(config, env)
+    assert demonstrations is not None
+    hyper = config.hyper
+    used = hyper.names_used_by(config.method)
+    own = {name: getattr(hyper, name) for name in _SILEM_ARGUMENTS if name in used}
+    chosen = demonstrations.first(hyper.n_trajectories)
+    return SILEM(
+        "MlpPolicy", env, chosen, transform=config.transform, **own, **_ppo_arguments(config)
+    )
+
+
+def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
+    hyper, budget = config.hyper, config.budget
+    layers = list(hyper.policy_hidden)
+    return dict(
+        learning_rate=lambda progress_remaining: hyper.learning_rate * progress_remaining,
+        n_steps=budget.steps_per_iteration // budget.n_envs,
+        batch_size=hyper.minibatch_size,
+        n_epochs=hyper.n_epochs,
+        gamma=hyper.gamma,
+        gae_lambda=hyper.gae_lambda,
+        clip_range=hyper.clip_range,
+        normalize_advantage=True,
+        ent_coef=0.0,
+        vf_coef=0.5,
+        max_grad_norm=float("inf"),
+        policy_kwargs={
+            "net_arch": {"pi": layers, "vf": layers},
+            "activation_fn": nn.Tanh,
+            "optimizer_kwargs": {"eps": hyper.adam_eps},
+        },
+        seed=seeding.child_seed(config.seed, "initial weights"),
+        device="cpu",
+        verbose=0,
+    )
+
+
+class Segments(BaseCallback):
+    """Cuts training into segments, keeps the learning curve and shows progress.
+
+    Args:
+        config: The run.
+        folder: Where the checkpoint and the progress file go.
+        start: What training goes on from; at iteration 0 it holds no model yet.
+        progress: Show a progress bar.
+    """
+
+    def __init__(
+        self, config: RunConfig, folder: Path, start: Checkpoint, *, progress: bool
+    ) -> None:
+        super().__init__()
+        self._config, self._folder, self._start = config, folder, start
+        self._rows = list(start.curve)
+        self._began = self._shown = time.perf_counter()
+        total, done = config.budget.n_iterations, start.iteration
+        self._bar = tqdm(
+            total=total, initial=done, desc=config.run_id, unit="it", disable=not progress
+        )
+
+    @property
+    def curve(self) -> np.ndarray:
+        """The learning curve so far, (iterations, columns)."""
+        return np.array(self._rows).reshape(-1, len(curve.COLUMNS))
+
+    @property
+    def wall_time_s(self) -> float:
+        """Time spent on this run so far, over all sessions."""
+        return self._start.wall_time_s + time.perf_counter() - self._began
+
+    def _iteration(self) -> int:
+        return int(self.model.num_timesteps) // self._config.budget.steps_per_iteration
+
+    def _on_rollout_start(self) -> None:
+        iteration = self._iteration()
+        if iteration > self._start.iteration:
+            self._note(iteration)
+        if iteration % self._config.budget.checkpoint_every == 0:
+            if iteration > self._start.iteration:
+                self.save()
+            self._begin_segment(iteration)
+
+    def _begin_segment(self, iteration: int) -> None:
+        model, seed = self.model, self._config.seed
+        env = model.get_env()
+        assert env is not None and isinstance(model, PPO)
+        env.seed(seeding.child_seed(seed, "env", iteration))
+        model._last_obs = env.reset()
+        model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+        model.reseed(seeding.child_seed(seed, "model", iteration))
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_training_end(self) -> None:
+        if self._iteration() > self._start.iteration:
+            self._note(self._iteration())
+            self.save()
+        self._bar.close()
+
+    def _note(self, iteration: int) -> None:
+        """Keep the numbers of the iteration that has just been finished."""
+        assert isinstance(self.model, PPO)
+        stats = self.model.iteration_stats
+        self._rows.append(curve.row(iteration, self.model.num_timesteps, stats))
+        self._bar.update()
+        now = time.perf_counter()
+        if now - self._shown < _PROGRESS_EVERY_S:
+            return
+        self._shown = now
+        if "return_mean" in stats:
+            self._bar.set_postfix_str(f"return {stats['return_mean']:.0f}")
+        content = {
+            "iteration": iteration,
+            "n_iterations": self._config.budget.n_iterations,
+            "return": stats.get("return_mean"),
+        }
+        files.write_json(self._folder / PROGRESS, content)
+
+    def save(self) -> Checkpoint:
+        """Write the checkpoint of the present state."""
+        assert isinstance(self.model, PPO)
+        checkpoint = Checkpoint(
+            self._start.run_id,
+            self._iteration(),
+            self.wall_time_s,
+            self._start.commits,
+            self._start.demonstrations_sha256,
+            self.curve,
+            self.model.state_arrays(),
+        )
+        checkpoint.save(self._folder / CHECKPOINT)
+        return checkpoint
+
+    def close(self) -> None:
+        """Take the progress bar away."""
+        self._bar.close()
+
+
+def train(
+    model: PPO, config: RunConfig, folder: Path, start: Checkpoint, *, progress: bool
+) -> Segments:
+    """Train a model from a checkpoint's iteration to the end of its budget.
+
+    Args:
+        model: From `make_model`; given the checkpoint's state here.
+        config: The run.
+        folder: The run's working folder.
+        start: The checkpoint to go on from; iteration 0 means a fresh start.
+        progress: Show a progress bar.
+
+    Returns:
+        The callback, with the learning curve and the time spent.
+    """
+    segments = Segments(config, folder, start, progress=progress)
+    try:
+        if start.iteration:
+            model.load_state_arrays(start.model)
+        model.num_timesteps = start.iteration * config.budget.steps_per_iteration
+        remaining = config.budget.n_steps - model.num_timesteps
+        if remaining:
+            # reset_num_timesteps=False: the learning rate decays over the whole budget, and a
+            # resumed run goes on where it was.
+            model.learn(remaining, callback=segments, reset_num_timesteps=False)
+    finally:
+        segments.close()
+    return segments
