@@ -1,10 +1,13 @@
+"""The registry of bodies: `get`, `names`, `register`, and `describe` for what they are made of."""
 
 from __future__ import annotations
 
 from silem.bodies import ant, half_cheetah
 from silem.bodies.body import AliveRule, Body, Motor
+from silem.bodies.describe import describe
 from silem.bodies.registry import get, names, register
 
+__all__ = ["AliveRule", "Body", "Motor", "describe", "get", "names", "register"]
 
 for _body in (*half_cheetah.BODIES, *ant.BODIES):
     register(_body)

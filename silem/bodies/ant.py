@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
 from silem.bodies import mjcf
@@ -26,14 +25,14 @@ def model(offset: float) -> str:
         return xml
     for leg, (x, y) in _LEG_SIGNS.items():
         end = (x * offset, y * offset, 0)
-        xml = mjcf.set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", mjcf.numbers(0, 0, 0, *end))
+        span = mjcf.numbers(0, 0, 0, *end)
+        xml = mjcf.set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", span)
         xml = mjcf.set_attribute(xml, "body", f"aux_{leg}", "pos", mjcf.numbers(*end))
     return xml
 
 
 def body(name: str, offset: float) -> Body:
     """Return the registry entry of an Ant whose innermost links have the given offset."""
-    length = round(math.sqrt(2) * offset, 4)
     return Body(
         name=name,
         family="ant",
@@ -47,11 +46,10 @@ def body(name: str, offset: float) -> Body:
         ),
         feet=_FEET,
         # 22 parts: the torso, the floor, and per leg the inner link, the hip's massless link,
-        # the middle link (aux), the ankle's massless link and the foot. Aux's centre lies halfway
-        # between hip and ankle, so aux + ankle = 3 aux - hip. Inner links and hips are opposite
-        # in pairs around the torso: the four inner links less nothing, plus four hips, less four
-        # hips, leave four times the torso, which is twice two opposite inner links. (The torso's
-        # own position would not do: PyBullet's links trail it by a part of a step.)
+        # aux, the ankle's massless link and the foot. Aux's centre lies halfway between hip and
+        # ankle, so aux + ankle = 3 aux - hip, and the hips drop out. The inner links of opposite
+        # legs are opposite around the torso, so two of them stand for all four. (The torso itself
+        # would not do: the positions PyBullet reports for links trail the base's by a substep.)
         part_weights=(
             ("torso", 1.0),
             ("front_left_leg", 2.0),
@@ -61,13 +59,7 @@ def body(name: str, offset: float) -> Body:
         ),
         n_parts=22,
         alive=AliveRule(min_height_m=0.26, terminates=True),
-        length=("innermost link's offset", offset),
-        limbs=(
-            ("torso radius", 0.25),
-            ("innermost link", length),
-            ("middle link", round(math.sqrt(2) * 0.2, 4)),
-            ("foot", round(math.sqrt(2) * 0.4, 4)),
-        ),
+        length=("offset of the links closest to the body", offset),
     )
 
 

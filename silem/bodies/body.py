@@ -59,8 +59,7 @@ class Body:
             coincide, or that follow from others, are counted with those (see `n_parts`).
         n_parts: Number of parts in that mean.
         alive: The alive rule.
-        length: Name and value in metres of the length that sets the body apart in its family.
-        limbs: Lengths to print, in metres, by name.
+        length: Name and value, in metres, of what sets the body apart in its family.
     """
 
     name: str
@@ -76,7 +75,6 @@ class Body:
     n_parts: int
     alive: AliveRule
     length: tuple[str, float]
-    limbs: tuple[tuple[str, float], ...]
 
     def model_xml(self) -> str:
         """Return the model file's text."""

@@ -19,15 +19,6 @@ _COEFFICIENTS = {
     "ffoot": 30.0,
 }
 _HEAD_OVERHANG_M = 0.1  # from the torso's front end to the middle of the head
-_LIMBS_M = (
-    ("head", 0.30),
-    ("back thigh", 0.29),
-    ("back shin", 0.30),
-    ("back foot", 0.188),
-    ("front thigh", 0.266),
-    ("front shin", 0.212),
-    ("front foot", 0.14),
-)
 
 
 def model(torso_length_m: float) -> str:
@@ -66,8 +57,7 @@ def body(name: str, torso_length_m: float) -> Body:
         part_weights=(("torso", 4.0), *((limb, 2.0) for limb in limbs)),
         n_parts=17,
         alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
-        length=("torso", torso_length_m),
-        limbs=(("torso", torso_length_m), *_LIMBS_M),
+        length=("length of the torso", torso_length_m),
     )
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +11,7 @@ import numpy as np
 import pybullet
 import pybullet_data
 
-from silem.bodies import Body
+from silem.bodies import Body, bullet
 from silem.errors import SilemError
 
 STEP_S = 0.0165  # one control step, as in PyBullet's locomotion tasks
@@ -23,12 +21,6 @@ _GRAVITY_M_S2 = 9.8
 _CONTACT_ERP = 0.9
 _FLOOR_FRICTION = 0.8
 _FLOOR_RESTITUTION = 0.5
-_LOAD_FLAGS = (
-    pybullet.URDF_USE_SELF_COLLISION
-    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
-    | pybullet.URDF_GOOGLEY_UNDEFINED_COLORS
-)
-_BASE = -1
 
 
 @dataclass(frozen=True)
@@ -93,8 +85,6 @@ class Simulator:
     """
 
     def __init__(self, body: Body) -> None:
-        if body.engine != "bullet":
-            raise SilemError(f"body {body.name!r} is simulated by {body.engine}, not by bullet")
         self.body = body
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
@@ -146,28 +136,21 @@ class Simulator:
         (self.floor,) = pybullet.loadSDF(floor, **client)
         pybullet.changeDynamics(
             self.floor,
-            _BASE,
+            bullet.BASE,
             lateralFriction=_FLOOR_FRICTION,
             restitution=_FLOOR_RESTITUTION,
             **client,
         )
-        with _model_file(self.body) as path:
-            (self.robot,) = pybullet.loadMJCF(path, flags=_LOAD_FLAGS, **client)
+        self.robot = bullet.load(self.body, self.client)
 
     def _find(self) -> None:
         """Find the joints and links that the body names, and free every joint's motor."""
-        count = pybullet.getNumJoints(self.robot, physicsClientId=self.client)
-        infos = [
-            pybullet.getJointInfo(self.robot, index, physicsClientId=self.client)
-            for index in range(count)
-        ]
+        infos = bullet.joint_infos(self.robot, self.client)
         joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
-        base_name = pybullet.getBodyInfo(self.robot, physicsClientId=self.client)[0].decode()
-        self.link_index = {base_name: _BASE}
-        self.link_index |= {info[12].decode(): index for index, info in enumerate(infos)}
+        self.link_index = bullet.link_names(self.robot, self.client)
         self.joints = [joint_index[motor.joint] for motor in self.body.motors]
         self.limits = np.array([infos[joint][8:10] for joint in self.joints])
-        for joint in range(count):
+        for joint in range(len(infos)):
             self._free(joint)
 
     def _free(self, joint: int) -> None:
@@ -215,8 +198,11 @@ class Simulator:
         client, robot = self.client, self.robot
         euler = pybullet.getEulerFromQuaternion
         link = self.link_index[self.body.root]
-        if link == _BASE:
-            base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+        if link == bullet.BASE:
+            base_pose, base_velocity = (
+                pybullet.getBasePositionAndOrientation,
+                pybullet.getBaseVelocity,
+            )
 
             def read_base() -> list[float]:
                 position, quaternion = base_pose(robot, client)
@@ -242,15 +228,3 @@ class Simulator:
             return read()
 
         return step
-
-
-@contextlib.contextmanager
-def _model_file(body: Body) -> Iterator[str]:
-    """Give the body's model as a file, the only form in which PyBullet loads it."""
-    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(body.model_xml())
-        yield path
-    finally:
-        Path(path).unlink(missing_ok=True)

@@ -1,0 +1,65 @@
+"""Loading a body into a PyBullet client."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pybullet
+
+from silem.bodies.body import Body
+from silem.errors import SilemError
+
+BASE = -1  # PyBullet's number for the link at the root of a body's tree
+_FLAGS = (
+    pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+    | pybullet.URDF_GOOGLEY_UNDEFINED_COLORS
+)
+
+
+def load(body: Body, client: int) -> int:
+    """Load a body as PyBullet's locomotion tasks do, and return PyBullet's number of it.
+
+    Raises:
+        SilemError: If another simulator steps this body, or PyBullet rejects the model.
+    """
+    if body.engine != "bullet":
+        raise SilemError(f"body {body.name!r} is simulated by {body.engine}, not by bullet")
+    with _model_file(body) as path:
+        try:
+            (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)
+        except (pybullet.error, ValueError) as error:
+            raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
+    return int(robot)
+
+
+def joint_infos(robot: int, client: int) -> list[tuple]:
+    """Return PyBullet's description of every joint, in order."""
+    count = pybullet.getNumJoints(robot, physicsClientId=client)
+    return [pybullet.getJointInfo(robot, index, physicsClientId=client) for index in range(count)]
+
+
+def link_names(robot: int, client: int) -> dict[str, int]:
+    """Return the number of every named link, the base included.
+
+    The base comes first: where a link proper has the same name, the link it is.
+    """
+    base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
+    links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
+    return {base: BASE} | links
+
+
+@contextlib.contextmanager
+def _model_file(body: Body) -> Iterator[str]:
+    """Give the body's model as a file, the only form in which PyBullet loads it."""
+    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            file.write(body.model_xml())
+        yield path
+    finally:
+        Path(path).unlink(missing_ok=True)
