@@ -1,0 +1,216 @@
+"""Pictures and short videos of the bodies in motion.
+
+A picture is a uint8 array (H, W, 3). A :class:`Clip` is a sequence of them with its frame rate;
+it becomes an H.264 video that every browser plays, without a video library on the machine: the
+encoder comes with imageio-ffmpeg.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg  # type: ignore[import-untyped]
+import numpy as np
+from matplotlib import font_manager
+from PIL import Image, ImageDraw, ImageFont
+from tqdm import tqdm
+
+import silem
+from silem import files, seeding
+from silem.envs.simulator import STEP_S
+from silem.errors import SilemError
+from silem.study.evaluate import Policy, random_policy
+
+STEPS_PER_FRAME = 2
+"""Control steps from one frame to the next: 30 frames per simulated second."""
+
+_INK = (32, 32, 32)
+_LABEL_SIZE = 0.085  # of the picture's height
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A body in motion.
+
+    Attributes:
+        frames: Pictures (T, H, W, 3), uint8.
+        frames_per_s: Pictures per second of simulated time, so that it plays at real speed.
+    """
+
+    frames: np.ndarray
+    frames_per_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return len(self.frames) / self.frames_per_s
+
+
+def still(body: str) -> np.ndarray:
+    """Render a body in its default pose, as in Figures 2a and 2c.
+
+    Args:
+        body: A registered body's name.
+
+    Returns:
+        The picture (H, W, 3).
+    """
+    env = silem.make_vec(body, n_envs=1)
+    try:
+        env.reset()
+        return env.render()
+    finally:
+        env.close()
+
+
+def strip(clip: Clip, n_frames: int = 6) -> np.ndarray:
+    """Lay equally spaced frames of a clip side by side, from first to last.
+
+    Returns:
+        The picture (H, n_frames * W, 3).
+
+    Raises:
+        SilemError: The clip has fewer frames than asked for, or none are asked for.
+    """
+    if not 1 <= n_frames <= len(clip.frames):
+        raise SilemError(f"a strip of {n_frames} frames from a clip of {len(clip.frames)}")
+    chosen = np.linspace(0, len(clip.frames) - 1, n_frames).round().astype(int)
+    return np.concatenate(list(clip.frames[chosen]), axis=1)
+
+
+def rollout(
+    body: str,
+    policy: Policy | None = None,
+    *,
+    duration_s: float = 6.0,
+    seed: int = 0,
+    progress: bool = True,
+) -> Clip:
+    """Film a policy from the start of an episode; it acts stochastically, as in evaluation.
+
+    The clip ends where the episode does, if that comes first.
+
+    Args:
+        body: A registered body's name.
+        policy: The policy; None for uniformly random actions.
+        duration_s: Simulated time to film, seconds.
+        seed: Seed of the start state and of the policy's random numbers.
+        progress: Show a progress bar.
+
+    Raises:
+        SilemError: The body is unknown, or the duration is not positive.
+    """
+    if not (duration_s > 0 and math.isfinite(duration_s)):
+        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    n_frames = max(1, round(duration_s / (STEP_S * STEPS_PER_FRAME)))
+    policy = policy or random_policy(body)
+    if hasattr(policy, "reseed"):
+        policy.reseed(seeding.child_seed(seed, "video policy"))
+    env = silem.make_vec(body, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    try:
+        observations: Any = env.reset()
+        frames = [env.render()]
+        steps = range(1, (n_frames - 1) * STEPS_PER_FRAME + 1)
+        for step in tqdm(steps, desc=f"filming {body}", unit="step", disable=not progress):
+            actions, _ = policy.predict(observations, deterministic=False)
+            observations, _, dones, _ = env.step(actions)
+            if dones[0]:  # the environment stands at its next start already
+                break
+            if step % STEPS_PER_FRAME == 0:
+                frames.append(env.render())
+    finally:
+        env.close()
+    return Clip(np.stack(frames), 1 / (STEP_S * STEPS_PER_FRAME))
+
+
+def side_by_side(clips: Sequence[Clip], labels: Sequence[str]) -> Clip:
+    """Join clips into one, each under its label; a clip that ends early holds its last frame.
+
+    Raises:
+        SilemError: Clips and labels differ in number, or the clips in frame rate or height.
+    """
+    if len(clips) != len(labels) or not clips:
+        raise SilemError(f"{len(clips)} clips and {len(labels)} labels; give one label per clip")
+    if len({(clip.frames_per_s, clip.frames.shape[1]) for clip in clips}) > 1:
+        raise SilemError("clips side by side need the same frame rate and picture height")
+    n_frames = max(len(clip.frames) for clip in clips)
+    columns = [
+        np.pad(
+            labelled(clip, label).frames,
+            [(0, n_frames - len(clip.frames)), (0, 0), (0, 0), (0, 0)],
+            mode="edge",
+        )
+        for clip, label in zip(clips, labels, strict=True)
+    ]
+    return Clip(np.concatenate(columns, axis=2), clips[0].frames_per_s)
+
+
+def labelled(clip: Clip, label: str) -> Clip:
+    """Write a label into the upper left corner of every frame of a clip."""
+    height, width = clip.frames.shape[1:3]
+    font = ImageFont.truetype(
+        font_manager.findfont("DejaVu Sans"), size=max(9, round(_LABEL_SIZE * height))
+    )
+    plate = Image.new("L", (width, height), 0)
+    corner = round(_LABEL_SIZE * height / 2)
+    ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
+    ink = (np.asarray(plate, np.float32) / 255)[:, :, None]
+    frames = clip.frames * (1 - ink) + np.array(_INK, np.float32) * ink
+    return replace(clip, frames=frames.round().astype(np.uint8))
+
+
+def encode_mp4(clip: Clip) -> bytes:
+    """Encode a clip as H.264 in an mp4 file (yuv420p, index first: plays while it loads).
+
+    The same clip always gives the same bytes.
+
+    Raises:
+        SilemError: The encoder cannot run, or has no room for its temporary file.
+    """
+    height, width = (size - size % 2 for size in clip.frames.shape[1:3])  # yuv420p: even sizes
+    frames = np.ascontiguousarray(clip.frames[:, :height, :width])
+    options = ["-crf", "28", "-preset", "slow", "-threads", "1", "-movflags", "+faststart"]
+    options += ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "clip.mp4"
+            writer = imageio_ffmpeg.write_frames(
+                str(path),
+                (width, height),
+                fps=clip.frames_per_s,
+                codec="libx264",
+                pix_fmt_out="yuv420p",
+                quality=None,
+                macro_block_size=2,
+                output_params=options,
+                ffmpeg_log_level="error",
+            )
+            writer.send(None)
+            for frame in frames:
+                writer.send(frame)
+            writer.close()
+            return path.read_bytes()
+    except (OSError, RuntimeError) as error:
+        raise SilemError(f"the video encoder failed: {error}") from error
+
+
+def write_mp4(path: Path, clip: Clip) -> None:
+    """Write a clip as an mp4 file, atomically.
+
+    Raises:
+        SilemError: The file cannot be written; one that was there before is untouched.
+    """
+    files.write_bytes(path, encode_mp4(clip))
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()

@@ -1,0 +1,124 @@
+"""Clips, labels and video files; films of real bodies."""
+
+from __future__ import annotations
+
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from silem.errors import SilemError
+from silem.report import rendering
+from silem.report.rendering import Clip
+
+
+def gradient_clip(n_frames: int = 12, height: int = 90, width: int = 120) -> Clip:
+    """A clip whose frames brighten from left to right and from first to last."""
+    ramp = np.linspace(60, 160, width)[None, None, :, None]
+    light = np.linspace(0, 80, n_frames)[:, None, None, None]
+    frames = np.broadcast_to(ramp + light, (n_frames, height, width, 3))
+    return Clip(frames.round().astype(np.uint8), 30.0)
+
+
+def decode(path: Path) -> tuple[dict, np.ndarray]:
+    with closing(imageio_ffmpeg.read_frames(str(path))) as reader:
+        meta = next(reader)
+        width, height = meta["size"]
+        frames = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+    return meta, np.stack(frames)
+
+
+def test_mp4_is_what_browsers_play_and_shows_the_frames(tmp_path: Path) -> None:
+    clip = gradient_clip()
+    rendering.write_mp4(tmp_path / "clip.mp4", clip)
+    meta, frames = decode(tmp_path / "clip.mp4")
+    assert meta["codec"] == "h264"
+    assert meta["pix_fmt"].startswith("yuv420p")
+    assert meta["fps"] == pytest.approx(clip.frames_per_s, rel=1e-3)
+    assert frames.shape == clip.frames.shape
+    assert np.abs(frames.astype(int) - clip.frames).mean() < 4
+    data = (tmp_path / "clip.mp4").read_bytes()
+    assert data.index(b"moov") < data.index(b"mdat")  # plays before it is wholly loaded
+
+
+def test_mp4_of_odd_size_loses_one_row_and_column(tmp_path: Path) -> None:
+    rendering.write_mp4(tmp_path / "clip.mp4", gradient_clip(height=91, width=121))
+    _, frames = decode(tmp_path / "clip.mp4")
+    assert frames.shape[1:3] == (90, 120)
+
+
+def test_mp4_bytes_depend_on_the_clip_alone() -> None:
+    first, again = rendering.encode_mp4(gradient_clip()), rendering.encode_mp4(gradient_clip())
+    assert first == again
+    assert first != rendering.encode_mp4(gradient_clip(n_frames=13))
+
+
+def test_failed_write_keeps_the_file_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "clip.mp4"
+    path.write_bytes(b"before")
+    monkeypatch.setattr(imageio_ffmpeg._io, "get_ffmpeg_exe", lambda: str(tmp_path / "nowhere"))
+    with pytest.raises(SilemError, match="video encoder"):
+        rendering.write_mp4(path, gradient_clip())
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_png_round_trips() -> None:
+    picture = gradient_clip().frames[3]
+    png = rendering.encode_png(picture)
+    decoded = subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", "-", "-f", "rawvideo",
+         "-pix_fmt", "rgb24", "-"],
+        input=png, capture_output=True, check=True,
+    ).stdout  # fmt: skip
+    assert np.array_equal(np.frombuffer(decoded, np.uint8).reshape(picture.shape), picture)
+
+
+def test_strip_takes_first_and_last_and_equal_steps_between() -> None:
+    clip = gradient_clip(n_frames=13)
+    picture = rendering.strip(clip, 4)
+    assert picture.shape == (90, 4 * 120, 3)
+    parts = np.split(picture, 4, axis=1)
+    for part, index in zip(parts, (0, 4, 8, 12), strict=True):
+        assert np.array_equal(part, clip.frames[index])
+
+
+@pytest.mark.parametrize("n_frames", [0, 13])
+def test_strip_refuses_more_frames_than_there_are(n_frames: int) -> None:
+    with pytest.raises(SilemError, match=rf"{n_frames} frames from a clip of 12"):
+        rendering.strip(gradient_clip(), n_frames)
+
+
+def test_label_marks_every_frame_and_only_its_corner() -> None:
+    clip = gradient_clip()
+    marked = rendering.labelled(clip, "SILEM").frames
+    changed = (marked != clip.frames).any(axis=-1)
+    assert changed.any(axis=(1, 2)).all()
+    assert not changed[:, 30:].any()
+    assert not changed[:, :, 90:].any()
+    assert (marked[changed] < clip.frames[changed]).all()  # dark ink
+
+
+def test_side_by_side_holds_the_last_frame_of_the_shorter() -> None:
+    long, short = gradient_clip(n_frames=12), gradient_clip(n_frames=5)
+    joined = rendering.side_by_side([long, short], ["a", "b"])
+    assert joined.frames.shape == (12, 90, 240, 3)
+    assert np.array_equal(joined.frames[:, 45:, :120], long.frames[:, 45:])
+    right = joined.frames[:, 45:, 120:]
+    assert np.array_equal(right[4], short.frames[4, 45:])
+    assert all(np.array_equal(frame, right[4]) for frame in right[4:])
+
+
+def test_side_by_side_refuses_what_does_not_fit() -> None:
+    clip = gradient_clip()
+    with pytest.raises(SilemError, match="one label per clip"):
+        rendering.side_by_side([clip], [])
+    with pytest.raises(SilemError, match="same frame rate"):
+        rendering.side_by_side([clip, Clip(clip.frames, 25.0)], ["a", "b"])
+    with pytest.raises(SilemError, match="picture height"):
+        rendering.side_by_side([clip, gradient_clip(height=80)], ["a", "b"])
