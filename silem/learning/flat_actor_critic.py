@@ -180,8 +180,8 @@ class FlatActorCritic:
             grads *= min(1.0, max_grad_norm / (norm + 1e-6))  # torch's clip_grad_norm_
         group = self.policy.optimizer.param_groups[0]
         beta1, beta2 = group["betas"]
-        self._step += 1.0
-        step = float(self._step)
+        self._steps += 1.0
+        step = float(self._steps[0])
         self.exp_avg += (grads - self.exp_avg) * (1.0 - beta1)
         self.exp_avg_sq *= beta2
         grads *= grads
@@ -198,27 +198,29 @@ class FlatActorCritic:
         total = sum(p.numel() for p in parameters)
         self.params, self.grads = np.empty(total, dtype), np.zeros(total, dtype)
         self.exp_avg, self.exp_avg_sq = np.zeros(total, dtype), np.zeros(total, dtype)
-        self._step = th.tensor(0.0)
+        self._steps = np.zeros(len(parameters), np.float32)  # one a parameter, as torch has it
         views: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         start = 0
-        for p in parameters:
+        for i, p in enumerate(parameters):
             part, shape = slice(start, start + p.numel()), tuple(p.shape)
             start += p.numel()
             self.params[part] = p.detach().numpy().reshape(-1)
             p.data = th.from_numpy(self.params[part].reshape(shape))
             views[id(p)] = p.data.numpy(), self.grads[part].reshape(shape)
-            self._adopt_moments(p, part, shape)
+            self._adopt_moments(p, i, part, shape)
         first = self.policy.optimizer.state[parameters[0]]
         self._first_moment_pointer = first["exp_avg"].data_ptr()
         self._build_towers(views)
 
-    def _adopt_moments(self, p: nn.Parameter, part: slice, shape: tuple[int, ...]) -> None:
+    def _adopt_moments(
+        self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]
+    ) -> None:
         state = self.policy.optimizer.state[p]
         if state:
             self.exp_avg[part] = state["exp_avg"].numpy().reshape(-1)
             self.exp_avg_sq[part] = state["exp_avg_sq"].numpy().reshape(-1)
-            self._step.copy_(state["step"])
-        state["step"] = self._step
+            self._steps[i] = float(state["step"])
+        state["step"] = th.from_numpy(self._steps[i : i + 1].reshape(()))
         state["exp_avg"] = th.from_numpy(self.exp_avg[part].reshape(shape))
         state["exp_avg_sq"] = th.from_numpy(self.exp_avg_sq[part].reshape(shape))
 

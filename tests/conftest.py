@@ -1,0 +1,19 @@
+"""Shared by all tests: one thread, and a generator with a fixed seed."""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+
+import numpy as np
+import pytest
+import torch as th
+
+th.set_num_threads(1)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A fresh generator, the same in every test."""
+    return np.random.default_rng(0)

@@ -1,0 +1,239 @@
+"""The losses of Algorithm 1, what they may change, and learning end to end."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3.common.env_util import make_vec_env
+
+from silem import SILEM, Demonstrations, SilemError
+from silem.imitation.discriminator import (
+    Discriminator,
+    discriminator_loss,
+    squared_gradient_norm,
+)
+from silem.imitation.transforms import make_transform
+
+EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
+
+
+def make_model(transform: str = "affine", **kwargs) -> SILEM:
+    env = make_vec_env("Pendulum-v1", 2, seed=0)
+    return SILEM("MlpPolicy", env, EXPERT, transform=transform, n_steps=64, seed=0, **kwargs)
+
+
+def cloud(rng: np.random.Generator, n: int = 512) -> th.Tensor:
+    """Learner windows whose states are the expert's, scaled and shifted."""
+    return th.from_numpy(rng.normal(1.5, 2.0, (n, 4, 3)).astype(np.float32))
+
+
+def snapshot(module: th.nn.Module) -> list[th.Tensor]:
+    return [p.detach().clone() for p in module.parameters()]
+
+
+def unchanged(before: list[th.Tensor], module: th.nn.Module) -> bool:
+    return all(th.equal(a, b) for a, b in zip(before, module.parameters(), strict=True))
+
+
+def test_transform_starts_as_the_identity(rng: np.random.Generator) -> None:
+    windows = cloud(rng)
+    assert th.equal(make_transform("affine", 3)(windows), windows)
+    assert not th.allclose(make_transform("mlp", 3)(windows), windows)
+
+
+def test_affine_acts_state_by_state(rng: np.random.Generator) -> None:
+    transform = make_transform("affine", 3)
+    with th.no_grad():
+        transform.scale.copy_(th.tensor([2.0, 1.0, 0.5]))
+        transform.offset.copy_(th.tensor([0.0, 1.0, 0.0]))
+    windows = cloud(rng)
+    expected = windows * th.tensor([2.0, 1.0, 0.5]) + th.tensor([0.0, 1.0, 0.0])
+    assert th.equal(transform(windows), expected)
+
+
+def test_discriminator_steps_lower_its_loss(rng: np.random.Generator) -> None:
+    model, windows = make_model(), cloud(rng)
+    losses = [model.update_discriminator(windows)["disc_loss"] for _ in range(5)]
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_transform_steps_lower_its_loss_and_leave_the_discriminator(
+    rng: np.random.Generator,
+) -> None:
+    model, windows = make_model(transform_learning_rate=1e-2), cloud(rng)
+    for _ in range(10):
+        model.update_discriminator(windows)
+    disc, policy = snapshot(model.discriminator), snapshot(model.policy)
+    transform = snapshot(model.transform_net)
+    losses = [model.update_transform(windows)["transform_loss"] for _ in range(10)]
+    assert losses[-1] < losses[0]
+    assert unchanged(disc, model.discriminator) and unchanged(policy, model.policy)
+    assert not unchanged(transform, model.transform_net)
+
+
+def test_discriminator_steps_leave_the_transform(rng: np.random.Generator) -> None:
+    model = make_model()
+    transform, disc = snapshot(model.transform_net), snapshot(model.discriminator)
+    model.update_discriminator(cloud(rng))
+    assert unchanged(transform, model.transform_net)
+    assert not unchanged(disc, model.discriminator)
+
+
+def test_discriminator_loss_by_hand() -> None:
+    class Fixed(th.nn.Module):
+        def forward(self, windows: th.Tensor) -> th.Tensor:
+            return windows[:, 0, 0]
+
+    expert = th.full((2, 4, 1), np.log(3.0))  # D = 0.75
+    learner = th.full((2, 4, 1), -np.log(4.0))  # D = 0.2
+    loss = discriminator_loss(Fixed(), expert, learner, entropy_coef=0.0, gradient_penalty=0.0)
+    assert loss.total.item() == pytest.approx(-np.log(0.75) - np.log(0.8))
+    entropies = [-p * np.log(p) - (1 - p) * np.log(1 - p) for p in (0.75, 0.2)]
+    bonus = discriminator_loss(Fixed(), expert, learner, entropy_coef=2.0, gradient_penalty=0.0)
+    assert (loss.total - bonus.total).item() == pytest.approx(2.0 * np.mean(entropies))
+
+
+def test_gradient_norm_of_a_linear_discriminator() -> None:
+    disc = Discriminator(3, 4, hidden=())
+    weight = disc.net[1].weight
+    norm = squared_gradient_norm(disc, th.randn(5, 4, 3))
+    assert norm.item() == pytest.approx(weight.square().sum().item(), rel=1e-5)
+    norm.backward()
+    th.testing.assert_close(weight.grad, 2.0 * weight.detach())
+
+
+@pytest.mark.parametrize(("transform", "recovers"), [("affine", True), ("identity", False)])
+def test_affine_recovers_scale_and_shift_identity_does_not(transform: str, recovers: bool) -> None:
+    """Lines 9 and 10 alone, between feature clouds that differ by a known affine map."""
+    rng = np.random.default_rng(0)
+    scale, shift = np.array([2.0, 0.5, 1.0]), np.array([0.0, 1.0, -0.5])
+    expert = rng.standard_normal((4, 1001, 3)).astype(np.float32)
+    env = make_vec_env("Pendulum-v1", 1, seed=0)
+    model = SILEM(
+        "MlpPolicy", env, list(expert), transform=transform, n_steps=64, seed=0, window=1,
+        disc_hidden=(32, 32), disc_learning_rate=3e-3, transform_learning_rate=5e-3,
+    )  # fmt: skip
+    for _ in range(150):
+        states = ((rng.standard_normal((512, 1, 3)) - shift) / scale).astype(np.float32)
+        windows = th.from_numpy(states)
+        with th.no_grad():
+            transformed = model.transform_net(windows)
+        model.update_discriminator(transformed)
+        model.update_transform(windows)
+    probe = th.from_numpy(((rng.standard_normal((2000, 1, 3)) - shift) / scale).astype(np.float32))
+    mapped = model.transform_net(probe).detach().numpy()[:, 0]
+    error = max(abs(mapped.mean(0)).max(), abs(mapped.std(0) - 1.0).max())
+    assert bool(error < 0.25) == recovers
+
+
+class PointMass(gym.Env):
+    """A point on a line that observes place and speed; the expert moves at constant speed."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (2,))
+    action_space = gym.spaces.Box(-1, 1, (1,))
+
+    def __init__(self) -> None:
+        self.state = np.zeros(2, dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        super().reset(seed=seed)
+        self.state, self.steps = np.zeros(2, dtype=np.float32), 0
+        return self.state.copy(), {}
+
+    def step(self, action: np.ndarray) -> tuple:
+        self.state[1] = 0.8 * self.state[1] + 0.2 * float(action[0])
+        self.state[0] = 0.9 * self.state[0] + 0.1 * self.state[1]
+        self.steps += 1
+        return self.state.copy(), float(self.state[1]), False, self.steps == 50, {}
+
+
+def expert_of_point_mass() -> list[np.ndarray]:
+    env = PointMass()
+    states = [env.reset()[0]]
+    for _ in range(50):
+        states.append(env.step(np.array([1.0]))[0])
+    return [np.array(states)]
+
+
+@pytest.mark.parametrize("transform", ["identity", "affine"])
+def test_imitates_an_expert_end_to_end(transform: str) -> None:
+    """The environment's reward, unseen in training, rises from about 0 towards the expert's."""
+    model = SILEM(
+        "MlpPolicy", make_vec_env(PointMass, 4, seed=0), expert_of_point_mass(),
+        transform=transform, n_steps=100, batch_size=50, learning_rate=3e-3, seed=1,
+        transform_learning_rate=1e-4, gamma=0.9,
+    )  # fmt: skip
+    model.learn(16_000)
+    expert_return = expert_of_point_mass()[0][1:, 1].sum()
+    assert model.iteration_stats["return_mean"] > 0.6 * expert_return
+
+
+def test_same_seed_same_arrays() -> None:
+    first, second, other = (
+        make_model().learn(256),
+        make_model().learn(256),
+        make_model(disc_learning_rate=1e-3).learn(256),
+    )
+    a, b, c = (model.state_arrays() for model in (first, second, other))
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+    assert any(not np.array_equal(a[name], c[name]) for name in a)
+
+
+@pytest.mark.parametrize("transform", ["affine", "identity", "mlp"])
+def test_save_load_learn_on(transform: str, tmp_path) -> None:
+    model = make_model(transform).learn(128)
+    model.save(tmp_path / "silem.zip")
+    loaded = SILEM.load(tmp_path / "silem.zip", env=model.get_env())
+    for name, array in model.state_arrays().items():
+        np.testing.assert_array_equal(loaded.state_arrays()[name], array)
+    windows = cloud(np.random.default_rng(0)).numpy()
+    np.testing.assert_array_equal(loaded.score_windows(windows), model.score_windows(windows))
+    loaded.learn(128)
+
+
+def test_discrete_actions_take_stable_baselines3s_path() -> None:
+    demos = [np.zeros((10, 4), dtype=np.float32)]
+    model = SILEM("MlpPolicy", make_vec_env("CartPole-v1", 2, seed=0), demos, n_steps=32)
+    model.learn(64)
+    assert 0.0 < model.rollout_buffer.rewards.mean() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("demonstrations", "message"),
+    [
+        ([], "empty"),
+        ([np.zeros((1, 3))], "too short"),
+        ([np.full((5, 3), np.nan)], "NaN"),
+        ([np.zeros((5, 3)), np.zeros((5, 2))], "one F"),
+        (None, "needs demonstrations"),
+    ],
+)
+def test_unusable_demonstrations_are_refused(demonstrations, message: str) -> None:
+    with pytest.raises(SilemError, match=message):
+        SILEM("MlpPolicy", make_vec_env("Pendulum-v1", 1), demonstrations)
+
+
+def test_unknown_transform_is_refused() -> None:
+    with pytest.raises(SilemError, match="affine, identity, mlp"):
+        make_model("quadratic")
+
+
+def test_demonstrations_file_round_trip_and_damage(tmp_path) -> None:
+    path = tmp_path / "expert.npz"
+    saved = Demonstrations(tuple(EXPERT), (1.0, 2.0, 3.0, 4.0), "HC0", "run")
+    saved.save(path)
+    loaded = Demonstrations.load(path)
+    assert (loaded.returns, loaded.body, loaded.expert_run_id) == ((1, 2, 3, 4), "HC0", "run")
+    for a, b in zip(loaded.features, EXPERT, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert len(loaded.first(2).features) == 2
+    with pytest.raises(SilemError, match="1 to 4"):
+        loaded.first(5)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(SilemError, match=r"expert\.npz"):
+        Demonstrations.load(path)
+    np.savez(path, features=np.array([{"a": 1}], dtype=object), lengths=np.array([1]))
+    with pytest.raises(SilemError):
+        Demonstrations.load(path)

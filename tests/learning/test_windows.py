@@ -1,0 +1,99 @@
+"""Windows at episode boundaries, by hand."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from silem import SILEM, SilemError
+from silem.imitation.windows import WindowTracker, episode_windows
+
+
+def test_episode_windows_by_hand() -> None:
+    features = np.array([[10.0], [11.0], [12.0], [13.0], [14.0]])
+    expected = [[10, 10, 10, 11], [10, 10, 11, 12], [10, 11, 12, 13], [11, 12, 13, 14]]
+    np.testing.assert_array_equal(episode_windows(features, 4)[:, :, 0], expected)
+
+
+def test_tracker_equals_episode_windows(rng: np.random.Generator) -> None:
+    episode = rng.standard_normal((9, 2, 3)).astype(np.float32)  # (T + 1, E, F)
+    tracker = WindowTracker(4, episode[0])
+    stepped = np.stack([tracker.push(features).copy() for features in episode[1:]])
+    for environment in range(2):
+        expected = episode_windows(episode[:, environment], 4)
+        np.testing.assert_array_equal(stepped[:, environment], expected)
+
+
+@pytest.mark.parametrize("features", [np.zeros((1, 2)), np.zeros(4)])
+def test_too_short_or_misshaped_episode_is_refused(features: np.ndarray) -> None:
+    with pytest.raises(SilemError, match="T >= 1"):
+        episode_windows(features, 4)
+
+
+class Counter(gym.Env):
+    """Observes (episode, steps into it); episodes last three steps, then truncate."""
+
+    observation_space = gym.spaces.Box(-1e6, 1e6, (2,))
+    action_space = gym.spaces.Box(-1, 1, (1,))
+
+    def __init__(self) -> None:
+        self.episode, self.steps = 0, 0
+
+    def _observation(self) -> np.ndarray:
+        return np.array([self.episode, self.steps], dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        super().reset(seed=seed)
+        self.episode, self.steps = self.episode + 1, 0
+        return self._observation(), {}
+
+    def step(self, action: np.ndarray) -> tuple:
+        self.steps += 1
+        return self._observation(), 0.0, False, self.steps == 3, {}
+
+
+class CounterWithFeatures(Counter):
+    """The same, with skeletal features of its own: minus the observation, and a constant."""
+
+    def _info(self) -> dict:
+        return {"skeletal_features": np.append(-self._observation(), 7.0)}
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        return super().reset(seed=seed)[0], self._info()
+
+    def step(self, action: np.ndarray) -> tuple:
+        return *super().step(action)[:4], self._info()
+
+
+def collected_windows(env: type[gym.Env], n_features: int, n_iterations: int) -> np.ndarray:
+    demos = [np.zeros((5, n_features), dtype=np.float32)]
+    model = SILEM("MlpPolicy", DummyVecEnv([env]), demos, n_steps=5, batch_size=5, seed=0)
+    model.learn(5 * n_iterations)
+    return model._windows[:, 0]
+
+
+def test_windows_stop_at_episode_ends_and_go_on_over_rollouts() -> None:
+    """Rollouts of 5 steps over episodes of 3: the second rollout begins within an episode."""
+    episodes_and_steps = collected_windows(Counter, 2, n_iterations=2)
+    expected = [
+        [(2, 0), (2, 1), (2, 2), (2, 3)],  # its states before the rollout are remembered
+        [(3, 0), (3, 0), (3, 0), (3, 1)],
+        [(3, 0), (3, 0), (3, 1), (3, 2)],
+        [(3, 0), (3, 1), (3, 2), (3, 3)],  # the terminal state itself ends a window
+        [(4, 0), (4, 0), (4, 0), (4, 1)],
+    ]
+    np.testing.assert_array_equal(episodes_and_steps, expected)
+
+
+def test_features_of_the_environment_replace_the_observation() -> None:
+    windows = collected_windows(CounterWithFeatures, 3, n_iterations=1)
+    plain = collected_windows(Counter, 2, n_iterations=1)
+    np.testing.assert_array_equal(windows[..., :2], -plain)
+    assert (windows[..., 2] == 7.0).all()
+
+
+def test_other_feature_width_is_refused() -> None:
+    with pytest.raises(SilemError, match="3 features per state.*supplies 2"):
+        collected_windows(Counter, 3, n_iterations=1)
