@@ -1,0 +1,52 @@
+"""The figures that stand as files in the book and the README.
+
+``python -m silem.report.bookfigures``, or ``make figures``, redraws them from the committed
+records. The same records give the same bytes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from silem.errors import SilemError
+from silem.paths import REPO
+from silem.report import diagram, style
+
+FOLDER = REPO / "book" / "figures"
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "method.svg": diagram.overview,
+}
+"""File name of each figure, and the function that draws it."""
+
+
+def draw(folder: Path = FOLDER) -> list[Path]:
+    """Draw every figure into a folder and return the files.
+
+    Raises:
+        SilemError: If the records that a figure needs are missing or damaged.
+    """
+    paths = []
+    for name, function in FIGURES.items():
+        style.save(function(), folder / name)
+        paths.append(folder / name)
+    return paths
+
+
+def main() -> int:
+    """Redraw the figures; return the exit status."""
+    try:
+        for path in draw():
+            print(path.relative_to(REPO))
+    except SilemError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
