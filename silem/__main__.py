@@ -106,6 +106,9 @@ def _add_run(commands: Any) -> None:
     )
     command.add_argument("--config", type=Path, help="a JSON configuration instead of all these")
     command.add_argument("--force", action="store_true", help="start anew, even if finished")
+    command.add_argument(
+        "--wait", action="store_true", help="wait for another process at work on this run"
+    )
     _add_quiet(command)
     command.set_defaults(command=_run)
 
@@ -151,7 +154,7 @@ def _run(options: argparse.Namespace) -> None:
         )
     else:
         raise SilemError("run needs --body and --method (or --config)")
-    record = runs.run(config, progress=not options.quiet, force=options.force)
+    record = runs.run(config, not options.quiet, options.force, options.wait)
     _print_evaluation(record.run_id, record.evaluation)
 
 
@@ -212,7 +215,7 @@ def _finished(run_id: str) -> Any:
 
 def _evaluate(options: argparse.Namespace) -> None:
     from silem.study.evaluate import evaluate
-    from silem.study.runs import load_policy
+    from silem.study.policies import load_policy
 
     record = _finished(options.run_id)
     body = record.config["body"]
@@ -238,7 +241,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     from silem.report import rendering
-    from silem.study.runs import load_policy
+    from silem.study.policies import load_policy
 
     record = _finished(options.run_id)
     policy = load_policy(record)

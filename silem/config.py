@@ -1,9 +1,7 @@
-"""What a run is: frozen configurations with one strict door, `RunConfig.create`.
+"""What a run is: a frozen configuration with one strict door, `RunConfig.create`.
 
-A budget changes counts only (steps, environments, trials, episodes). The hyper-parameters come
-from the paper's tables where they are named there; the comments say which values the paper leaves
-open. A configuration holds exactly the hyper-parameters that its method uses, so that the
-identity of an expert's run does not depend on how discriminators are trained.
+A configuration holds exactly the hyper-parameters that its method uses, so that the identity of an
+expert's run does not depend on how discriminators are trained.
 """
 
 from __future__ import annotations
@@ -16,20 +14,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from silem import bodies
+from silem import bodies, paper
+from silem.budgets import BUDGETS, Budget
 from silem.errors import SilemError, choose
+from silem.hyperparameters import METHODS, TRANSFORMS, HyperParameters
 
-METHODS = ("ppo", "random", "silem", "silem-minus", "silem-minus-own", "silem-mlp")
-"""``ppo`` is an expert (true reward); ``random`` acts uniformly at random and is only evaluated;
-``silem-minus-own`` is SILEM-minus from the learner's own body's expert."""
-
-TRANSFORMS = {
-    "silem": "affine",
-    "silem-minus": "identity",
-    "silem-minus-own": "identity",
-    "silem-mlp": "mlp",
-}
-"""The state transformer of each imitation method."""
+__all__ = [
+    "BUDGETS",
+    "DEMONSTRATOR_SEED",
+    "METHODS",
+    "ORIGINAL_BODIES",
+    "TRANSFORMS",
+    "TRIAL_SEEDS",
+    "Budget",
+    "HyperParameters",
+    "RunConfig",
+]
 
 ORIGINAL_BODIES = {"halfcheetah": "HC0", "ant": "Ant0"}
 """Per family the body whose expert demonstrates (Section 5 of the paper)."""
@@ -39,146 +39,6 @@ TRIAL_SEEDS = (0, 1, 2, 3, 4)
 
 DEMONSTRATOR_SEED = TRIAL_SEEDS[0]
 """The trial of the expert whose policy is recorded as demonstrations."""
-
-
-def _check_positive_int(name: str, value: Any) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise SilemError(f"{name} must be a positive whole number, not {value!r}")
-
-
-@dataclass(frozen=True)
-class Budget:
-    """How much a run may spend. Changes counts, nothing else."""
-
-    name: str
-    n_envs: int
-    steps_per_iteration: int  # all environments together
-    n_iterations: int
-    n_trials: int
-    n_eval_episodes: int
-    checkpoint_every: int  # iterations; episodes start anew at every checkpoint
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            if field.name != "name":
-                _check_positive_int(f"budget {field.name}", getattr(self, field.name))
-        if self.steps_per_iteration % self.n_envs:
-            raise SilemError(
-                f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
-                f" divide among {self.n_envs} environments"
-            )
-
-    @property
-    def n_steps(self) -> int:
-        """Environment steps of the whole training."""
-        return self.n_iterations * self.steps_per_iteration
-
-    @property
-    def is_evidence(self) -> bool:
-        """Whether finished runs are published to the committed results."""
-        return self.name in ("book", "paper")
-
-    def with_iterations(self, n_iterations: int) -> Budget:
-        """Return this budget with another number of iterations, and a name that says so."""
-        return dataclasses.replace(
-            self, name=f"{self.name}-{n_iterations}", n_iterations=n_iterations
-        )
-
-
-BUDGETS = {
-    budget.name: budget
-    for budget in (
-        # seconds: tests, and the notebooks' defaults
-        Budget("tiny", 2, 256, 4, 1, 2, 2),
-        # minutes: to see it learn
-        Budget("quick", 8, 2048, 60, 1, 10, 20),
-        # the committed evidence
-        Budget("book", 8, 2048, 400, 5, 100, 25),
-        # the paper's iterations (Table 3) and evaluation episodes (Section 5)
-        Budget("paper", 8, 2048, 2000, 5, 1000, 25),
-    )
-}
-
-_POLICY = ("ppo", *TRANSFORMS)
-_DISCRIMINATOR = tuple(TRANSFORMS)
-_TRANSFORM = tuple(method for method, kind in TRANSFORMS.items() if kind != "identity")
-
-
-def _used_by(methods: tuple[str, ...], default: Any) -> Any:
-    return dataclasses.field(default=default, metadata={"methods": methods})
-
-
-@dataclass(frozen=True)
-class HyperParameters:
-    """Every hyper-parameter of learning; a method uses some of them (see `used_by`)."""
-
-    # Table 3 ("Common hyper-parameters ... Ant and HalfCheetah"); Adam's epsilon and the policy's
-    # size from the supplement's text. The learning rate falls linearly to 0.
-    learning_rate: float = _used_by(_POLICY, 2e-4)
-    clip_range: float = _used_by(_POLICY, 0.2)
-    gamma: float = _used_by(_POLICY, 0.99)
-    gae_lambda: float = _used_by(_POLICY, 0.95)
-    n_epochs: int = _used_by(_POLICY, 10)  # N_P
-    minibatch_size: int = _used_by(_POLICY, 64)  # N_Pmb
-    adam_eps: float = _used_by(_POLICY, 1e-5)
-    policy_hidden: tuple[int, ...] = _used_by(_POLICY, (64, 64))
-    # The supplement's grid; the best combination of each cell is filled in by `RunConfig.create`.
-    disc_hidden: tuple[int, ...] = _used_by(_DISCRIMINATOR, (128, 128, 128))
-    window: int = _used_by(_DISCRIMINATOR, 4)  # states per window (Section 4)
-    n_trajectories: int = _used_by(_DISCRIMINATOR, 20)  # n
-    n_disc_updates: int = _used_by(_DISCRIMINATOR, 10)  # N_D
-    n_transform_updates: int = _used_by(_TRANSFORM, 5)  # N_G
-    transform_lr_decay: float = _used_by(_TRANSFORM, 0.999)  # d, per iteration
-    # Left open by the paper.
-    disc_learning_rate: float = _used_by(_DISCRIMINATOR, 3e-4)
-    transform_learning_rate: float = _used_by(_TRANSFORM, 1e-4)
-    disc_entropy_coef: float = _used_by(_DISCRIMINATOR, 1e-3)
-    gradient_penalty: float = _used_by(_DISCRIMINATOR, 1.0)  # 0 switches it off
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = _checked(field.name, field.default, getattr(self, field.name))
-            object.__setattr__(self, field.name, value)
-
-    @staticmethod
-    def names_used_by(method: str) -> list[str]:
-        """Return the names of the hyper-parameters that a method uses, in the class's order."""
-        return [
-            field.name
-            for field in dataclasses.fields(HyperParameters)
-            if method in field.metadata["methods"]
-        ]
-
-
-_MAY_BE_ZERO = ("disc_entropy_coef", "gradient_penalty")
-_AT_MOST_ONE = ("gamma", "gae_lambda", "transform_lr_decay")
-
-
-def _checked(name: str, default: Any, value: Any) -> Any:
-    """Return a hyper-parameter's value in its field's type, or raise SilemError."""
-    if isinstance(default, tuple):
-        if not isinstance(value, list | tuple) or not value:
-            raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
-        for size in value:
-            _check_positive_int(f"each size in {name}", size)
-        return tuple(value)
-    if isinstance(default, int):
-        _check_positive_int(name, value)
-        return value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SilemError(f"{name} must be a number, not {value!r}")
-    lowest_allowed = value >= 0 if name in _MAY_BE_ZERO else value > 0
-    limit = 1.0 if name in _AT_MOST_ONE else float("inf")
-    if not lowest_allowed or not value <= limit or value == float("inf"):
-        raise SilemError(f"{name} is out of range: {value!r}")
-    return float(value)
-
-
-def best_combination(body: str, method: str, demonstrations: str) -> dict[str, Any]:
-    """Return the supplement's best combination for a cell, or {} where its tables have none."""
-    from silem import paper  # the paper's tables name bodies and methods of this module
-
-    return paper.best_combination(body, method, demonstrations)
 
 
 @dataclass(frozen=True)
@@ -235,7 +95,7 @@ class RunConfig:
         used = HyperParameters.names_used_by(method)
         for name in hyper_overrides:
             choose(f"hyper-parameter of {method}", name, used)
-        best = best_combination(body, method, demonstrations) if used else {}
+        best = paper.best_combination(body, method, demonstrations) if used else {}
         values = {name: value for name, value in best.items() if name in used} | hyper_overrides
         hyper = HyperParameters(**values)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
@@ -328,6 +188,4 @@ def _demonstrations(body: str, method: str, family: str, demonstrations: str | N
         if demonstrations not in (None, body):
             raise SilemError(f"silem-minus-own of {body} imitates {body}, not {demonstrations}")
         return body
-    return choose(
-        "demonstrations", demonstrations or ORIGINAL_BODIES[family], bodies.names()
-    )
+    return choose("demonstrations", demonstrations or ORIGINAL_BODIES[family], bodies.names())

@@ -194,11 +194,15 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
-def lock(path: Path) -> Iterator[None]:
+def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs.
 
     The kernel releases the lock when its process ends, even by ``kill -9``, so no stale lock can
     stay behind. The holder's ``pid@host`` stands beside it in ``<path>.holder``, for messages only.
+
+    Args:
+        path: The lock file, whose folder is made where needed.
+        wait_s: How long to wait for another process to let go, seconds.
 
     Raises:
         SilemError: Another process holds the lock (the message names it), or the file cannot be
@@ -209,10 +213,10 @@ def lock(path: Path) -> Iterator[None]:
     guard = filelock.FileLock(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        guard.acquire(timeout=0)
+        guard.acquire(timeout=wait_s)
     except filelock.Timeout:
         name = holder.read_text() if holder.is_file() else "another process"
-        raise SilemError(f"{path.parent.name} is being worked on by {name}") from None
+        raise SilemError(f"{path} is held by {name}, which is at work there") from None
     except OSError as error:
         raise SilemError(f"cannot lock {path}: {error.strerror or error}") from error
     try:

@@ -19,82 +19,19 @@ from pathlib import Path
 from tqdm import tqdm
 
 from silem import files, paths
-from silem.config import BUDGETS, DEMONSTRATOR_SEED, TRIAL_SEEDS, Budget, RunConfig
+from silem.config import DEMONSTRATOR_SEED, RunConfig
 from silem.demonstrations import file_of
-from silem.errors import SilemError, choose
+from silem.errors import SilemError
 from silem.study import runs
+from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
+from silem.study.studies import Cell, cells, study_configs
 from silem.study.training import PROGRESS
+
+__all__ = ["Cell", "Task", "campaign", "cells", "plan", "study_configs"]
 
 MAX_KILLS = 5
 """How often a worker may be killed by a signal before its task counts as failed."""
-
-INTERRUPTED = 130
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
-
-    method: str
-    body: str
-    demonstrations: str | None = None
-
-    def config(self, budget: str | Budget, seed: int, study: str | None = None) -> RunConfig:
-        """Return one trial's configuration."""
-        return RunConfig.create(
-            self.body, self.method, self.demonstrations, budget, seed, study=study
-        )
-
-
-_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
-_STUDIES = {
-    # Figure 2b and Table 1
-    "halfcheetah": (
-        *(Cell("ppo", body) for body in _HALF_CHEETAHS),
-        *(Cell("silem", body, "HC0") for body in _HALF_CHEETAHS),
-        *(Cell("silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
-        *(Cell("silem-minus-own", body, body) for body in _HALF_CHEETAHS),
-        Cell("silem-mlp", "HC0", "HC0"),
-        *(Cell("random", body) for body in _HALF_CHEETAHS),
-    )
-}
-
-
-def cells(study: str) -> list[Cell]:
-    """Return a study's cells, experts first.
-
-    Raises:
-        SilemError: There is no such study.
-    """
-    return list(_STUDIES[choose("study", study, _STUDIES)])
-
-
-def study_configs(
-    study: str, budget: str | Budget, n_trials: int | None = None, **only: Sequence[str] | None
-) -> list[RunConfig]:
-    """Return the runs of a study: the first trial of every cell before any second.
-
-    Args:
-        study: The study.
-        budget: A budget's name, or a `Budget`.
-        n_trials: Trials per cell; None means the budget's own number.
-        **only: ``method=[...]`` and ``body=[...]`` keep those cells alone.
-
-    Raises:
-        SilemError: An unknown study or budget, or more trials than there are fixed seeds.
-    """
-    if isinstance(budget, str):
-        budget = BUDGETS[choose("budget", budget, BUDGETS)]
-    n_trials = budget.n_trials if n_trials is None else n_trials
-    if not 1 <= n_trials <= len(TRIAL_SEEDS):
-        raise SilemError(f"trials must be 1 to {len(TRIAL_SEEDS)}, not {n_trials}")
-    kept = [
-        cell
-        for cell in cells(study)
-        if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
-    ]
-    return [cell.config(budget, seed) for seed in TRIAL_SEEDS[:n_trials] for cell in kept]
 
 
 @dataclass
@@ -136,7 +73,7 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
             tasks.setdefault(recording.name, recording)
             needs.add(recording.name)
         folder = runs.run_folder(config)
-        arguments = ["run", "--quiet", "--config", str(folder / "config.json")]
+        arguments = ["run", "--quiet", "--wait", "--config", str(folder / "config.json")]
         tasks[config.run_id] = Task(config.run_id, arguments, folder, needs)
     for config in configs:
         if config.run_id in tasks:
@@ -178,7 +115,7 @@ def campaign(
     if n_workers < 1:
         raise SilemError(f"workers must be 1 or more, not {n_workers}")
     pool = _Pool(plan(configs), n_workers, progress, total=len(configs))
-    with runs.sigterm_as_interrupt():
+    with sigterm_as_interrupt():
         pool.work()
     if pool.failures:
         raise SilemError("; ".join(pool.failures.values()))

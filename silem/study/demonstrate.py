@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from silem import demonstrations as demos
-from silem import files
+from silem import files, paths
 from silem.errors import SilemError
 from silem.study.evaluate import record_episodes
+from silem.study.policies import load_policy
 from silem.study.record import RunRecord
-from silem.study.runs import load_policy
+
+_WAIT_S = 600.0
 
 
 def demonstrate(
@@ -36,7 +38,8 @@ def demonstrate(
     if n_trajectories < 1:
         raise SilemError(f"demonstrations need 1 trajectory or more, not {n_trajectories}")
     path = demos.file_of(body)
-    with files.lock(path.with_suffix(".lock")):
+    # One lock for all bodies, because they share the manifest.
+    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
         if path.exists() and not force:
             there = demos.Demonstrations.load(body)
             if there.expert_run_id == record.run_id and len(there.features) == n_trajectories:

@@ -28,31 +28,37 @@ MAX_ENVS = 8
 
 
 class Policy(Protocol):
-    """Whatever acts: a stable-baselines3 model or policy, or `RandomPolicy`."""
+    """Whatever acts: a stable-baselines3 model or policy, or a `RandomPolicy`."""
 
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, Any]:
         """Return actions (E, A) for observations (E, O), and a state that is not used."""
 
 
 class RandomPolicy:
-    """Acts uniformly at random in [-1, 1], the lowest mark of the paper's Figure 2.
+    """Acts uniformly at random in [-1, 1], the paper's lower mark in Figure 2.
 
     Args:
         n_actions: A, the number of actuators.
+        seed: The trial's seed.
     """
 
-    def __init__(self, n_actions: int) -> None:
-        self._n_actions = n_actions
-        self._generator = seeding.generator(0)
+    def __init__(self, n_actions: int, seed: int) -> None:
+        self._n_actions, self._seed = n_actions, seed
+        self.reseed(0)
 
     def reseed(self, seed: int) -> None:
-        """Restart the random actions from a seed."""
-        self._generator = seeding.generator(seed, "random policy")
+        """Restart the random actions; trials differ for the same `seed`."""
+        self._generator = seeding.generator(self._seed, "random policy", seed)
 
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, None]:
-        """Return random actions (E, A); they ignore the observations (E, O)."""
+        """Return random actions (E, A), whatever the observations (E, O)."""
         size = (len(observation), self._n_actions)
         return self._generator.uniform(-1.0, 1.0, size).astype(np.float32), None
+
+
+def random_policy(body: str, seed: int = 0) -> RandomPolicy:
+    """Return the random policy of a body, for the trial of a seed."""
+    return RandomPolicy(bodies.get(body).action_size, seed)
 
 
 @dataclass(frozen=True)
@@ -121,9 +127,10 @@ def episodes(
         states = [[row] for row in of_learner.first(env, observations)]
         while left.any():
             actions, _ = policy.predict(observations, deterministic=False)
-            observations, _, dones, infos = env.step(actions)
+            stepped, _, dones, infos = env.step(actions)
+            observations = np.asarray(stepped)
             reached, restarted = of_learner.reached(env, observations, dones, infos)
-            for i in np.flatnonzero(left):
+            for i in np.flatnonzero(left).tolist():
                 states[i].append(reached[i].copy())
                 if dones[i]:
                     yield _episode(states[i], infos[i]["episode"])
@@ -176,11 +183,6 @@ def evaluate(
         upright=float(np.mean(uprights)),
         disc_reward_mean=float(np.mean(scores)) if scores else None,
     )
-
-
-def random_policy(body: str) -> RandomPolicy:
-    """Return the random policy of a body."""
-    return RandomPolicy(bodies.get(body).action_size)
 
 
 def record_episodes(

@@ -15,6 +15,7 @@ from silem.config import RunConfig
 from silem.errors import SilemError, choose
 
 RECORD = "record.json"
+CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
 PACKAGES = ("gymnasium", "numpy", "pybullet", "stable-baselines3", "torch")
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import dataclasses
+import time
 from pathlib import Path
-from types import FrameType
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,12 +21,12 @@ from silem.imitation.transforms import AffineTransform
 from silem.learning.ppo import PPO
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
-from silem.study.evaluate import EVALUATION_SEED, Policy, evaluate, random_policy
-from silem.study.record import RECORD, RunRecord, provenance
-from silem.study.training import PROGRESS, make_model, make_policy_model, train
+from silem.study.evaluate import Evaluation, evaluate, random_policy
+from silem.study.interrupt import sigterm_as_interrupt
+from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
+from silem.study.training import PROGRESS, Segments, make_model, train
 
 LOCK = "run.lock"
-CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
 
 
 def run_folder(config: RunConfig) -> Path:
@@ -44,7 +42,19 @@ def find(run_id: str) -> RunRecord | None:
     return None
 
 
-def run(config: RunConfig, progress: bool = True, force: bool = False) -> RunRecord:
+def state(config: RunConfig) -> str:
+    """Return "finished", "running", "part" (there is a checkpoint) or "missing"."""
+    if find(config.run_id) is not None:
+        return "finished"
+    folder = run_folder(config)
+    if files.is_locked(folder / LOCK):
+        return "running"
+    return "part" if (folder / CHECKPOINT).exists() else "missing"
+
+
+def run(
+    config: RunConfig, progress: bool = True, force: bool = False, wait: bool = False
+) -> RunRecord:
     """Return the finished run of a configuration: looked up, resumed, or made from the start.
 
     Killed at any moment, even with ``kill -9``, a run goes on from its last checkpoint when it is
@@ -55,6 +65,7 @@ def run(config: RunConfig, progress: bool = True, force: bool = False) -> RunRec
         progress: Show a progress bar.
         force: Throw the run's checkpoint away and make it anew, even if it is finished. A record
             that is already published stays until the new one replaces it.
+        wait: If another process works on this run, wait for it instead of raising.
 
     Raises:
         SilemError: Another process works on this run; its checkpoint is damaged or another run's;
@@ -64,120 +75,113 @@ def run(config: RunConfig, progress: bool = True, force: bool = False) -> RunRec
     if not force and (finished := find(config.run_id)):
         return _with_same_demonstrations(finished, config)
     folder = run_folder(config)
-    with files.lock(folder / LOCK), sigterm_as_interrupt():
+    wait_s = float("inf") if wait else 1.0
+    with sigterm_as_interrupt(), files.lock(folder / LOCK, wait_s):
         if not force and (finished := find(config.run_id)):  # by whoever held the lock
             return _with_same_demonstrations(finished, config)
         files.remove_leftovers(folder)
         if force:
             for name in (CHECKPOINT, RECORD, PROGRESS):
                 (folder / name).unlink(missing_ok=True)
-        torch.set_num_threads(1)
         try:
-            return _work(config, folder, progress)
+            return _make(config, folder, progress)
         except KeyboardInterrupt:
-            has = "its checkpoint is kept" if (folder / CHECKPOINT).exists() else "no checkpoint yet"
-            message = f"stopped {config.run_id} ({has}); to go on: {config.command}"
+            kept = "its checkpoint is kept" if (folder / CHECKPOINT).exists() else "no checkpoint"
+            message = f"stopped {config.run_id} ({kept}); to go on: {config.command}"
             raise KeyboardInterrupt(message) from None
 
 
-@contextmanager
-def sigterm_as_interrupt() -> Iterator[None]:
-    """Make SIGTERM stop the block as Ctrl-C does (only possible in the main thread)."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(signal_number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _work(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
+def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
+    """Make a run, from its checkpoint where there is one, and record it."""
+    torch.set_num_threads(1)
+    began = time.perf_counter()
     source = provenance()
+    n_episodes = config.budget.n_eval_episodes
     if config.method == "random":
-        policy = random_policy(config.body)
-        n_episodes = config.budget.n_eval_episodes
-        result = evaluate(policy, config.body, n_episodes, EVALUATION_SEED, progress=progress)
+        policy = random_policy(config.body, config.seed)
+        result = evaluate(policy, config.body, n_episodes, progress=progress)
         training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
-        record = RunRecord(
-            config.run_id, "finished", config.to_dict(), result.to_dict(), training,
-            source | {"earlier_commits": []}, None, 0.0, {}, folder,
-        )  # fmt: skip
-        return _finish(record, config)
-    return _train_and_record(config, folder, source, progress)
+        wall_time_s = time.perf_counter() - began
+        return _record(config, folder, result, training, source, None, wall_time_s)
 
-
-def _train_and_record(
-    config: RunConfig, folder: Path, source: dict, progress: bool
-) -> RunRecord:
     demonstrations, sha = load_demonstrations(config)
-    commit = source["git_commit"] or "unknown"
-    start = _start(config, folder, sha or "", commit)
-    env_seed = seeding.child_seed(config.seed, "env", 0)
-    env = make_vec(config.body, n_envs=config.budget.n_envs, seed=env_seed)
+    start = _start(config, folder, sha or "", source["git_commit"] or "unknown")
+    env = make_vec(config.body, config.budget.n_envs, seeding.child_seed(config.seed, "env"))
     try:
         model = make_model(config, env, demonstrations)
         segments = train(model, config, folder, start, progress=progress)
     finally:
         env.close()
-    training_time_s = segments.wall_time_s
-    result = evaluate(
-        model, config.body, config.budget.n_eval_episodes, EVALUATION_SEED,
-        model if isinstance(model, SILEM) else None, progress=progress,
-    )  # fmt: skip
-    files.write_text(folder / CURVE, curve.to_csv(segments.curve))
-    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": config.run_id})
+    training = _training(config, segments)
+    scorer = model if isinstance(model, SILEM) else None
+    result = evaluate(model, config.body, n_episodes, model=scorer, progress=progress)
+    _write_outcome(folder, model, segments.curve, config.run_id)
+    source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
+    return _record(config, folder, result, training, source, sha, segments.wall_time_s)
+
+
+def _start(config: RunConfig, folder: Path, sha: str, commit: str) -> Checkpoint:
+    """Return the run's checkpoint, or an empty one; this session's commit joins it."""
+    path = folder / CHECKPOINT
+    if not path.exists():
+        no_curve = np.empty((0, len(curve.COLUMNS)))
+        return Checkpoint(config.run_id, 0, 0.0, (commit,), sha, no_curve, {})
+    found = Checkpoint.load(path, config.run_id, sha)
+    return dataclasses.replace(found, commits=tuple(dict.fromkeys([*found.commits, commit])))
+
+
+def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
+    disc_rewards = segments.curve[:, curve.COLUMNS.index("disc_reward")]
+    disc_rewards = disc_rewards[~np.isnan(disc_rewards)]
+    return {
+        "n_steps": config.budget.n_steps,
+        "steps_per_s": config.budget.n_steps / segments.wall_time_s,
+        "disc_reward_last": float(disc_rewards[-1]) if len(disc_rewards) else None,
+    }
+
+
+def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
+    files.write_text(folder / CURVE, curve.to_csv(values))
+    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
-        files.write_npz(folder / TRANSFORM, _affine_arrays(model.transform_net))
+        transform = model.transform_net
+        arrays = {"A": transform.scale, "b": transform.offset}
+        files.write_npz(
+            folder / TRANSFORM,
+            {name: value.detach().cpu().numpy() for name, value in arrays.items()},
+        )
+
+
+def _record(
+    config: RunConfig,
+    folder: Path,
+    result: Evaluation,
+    training: dict[str, Any],
+    source: dict[str, Any],
+    demonstrations_sha256: str | None,
+    wall_time_s: float,
+) -> RunRecord:
+    """Publish the run where its budget says so; the records themselves are written last."""
+    names = [name for name in (CURVE, POLICY, TRANSFORM) if (folder / name).exists()]
     record = RunRecord(
         run_id=config.run_id,
         status="finished",
         config=config.to_dict(),
         evaluation=result.to_dict(),
-        training={
-            "n_steps": config.budget.n_steps,
-            "steps_per_s": config.budget.n_steps / training_time_s,
-            "disc_reward_last": _last(segments.curve, "disc_reward"),
-        },
-        provenance=source | {"earlier_commits": [c for c in start.commits if c != commit]},
-        demonstrations_sha256=sha,
-        wall_time_s=segments.wall_time_s,
-        files={
-            name: files.sha256(folder / name)
-            for name in (CURVE, POLICY, TRANSFORM)
-            if (folder / name).exists()
-        },
+        training=training,
+        provenance=source,
+        demonstrations_sha256=demonstrations_sha256,
+        wall_time_s=wall_time_s,
+        files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
-    return _finish(record, config)
-
-
-def _start(config: RunConfig, folder: Path, sha: str, commit: str) -> Checkpoint:
-    path = folder / CHECKPOINT
-    if not path.exists():
-        empty = np.empty((0, len(curve.COLUMNS)))
-        return Checkpoint(config.run_id, 0, 0.0, (commit,), sha, empty, {})
-    found = Checkpoint.load(path, config.run_id, sha)
-    commits = tuple(dict.fromkeys([*found.commits, commit]))
-    return Checkpoint(
-        found.run_id, found.iteration, found.wall_time_s, commits, sha, found.curve, found.model
-    )
-
-
-def _finish(record: RunRecord, config: RunConfig) -> RunRecord:
-    """Publish the run where its budget says so; the records themselves are written last."""
     if config.budget.is_evidence:
         published = paths.results_dir(config.study) / config.run_id
-        for name in record.files:
-            files.write_bytes(published / name, (record.folder / name).read_bytes())
+        for name in names:
+            files.write_bytes(published / name, (folder / name).read_bytes())
         record.save(published)
-    record.save(record.folder)
-    (record.folder / PROGRESS).unlink(missing_ok=True)
+    record.save(folder)
+    (folder / PROGRESS).unlink(missing_ok=True)
     return record
 
 
@@ -203,54 +207,11 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
 def _with_same_demonstrations(record: RunRecord, config: RunConfig) -> RunRecord:
     path = demos.file_of(config.demonstrations)
     if config.demonstrations and path.exists():
-        now = files.sha256(path)
-        if now != record.demonstrations_sha256:
+        now, then = files.sha256(path), str(record.demonstrations_sha256)
+        if now != then:
             raise SilemError(
-                f"{record.run_id} was made with other demonstrations (SHA-256"
-                f" {str(record.demonstrations_sha256)[:12]}) than {path} holds now ({now[:12]});"
-                " bring those back, or make the run anew with --force"
+                f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
+                f" {path} holds now ({now[:12]}); bring those back, or make the run anew with"
+                " --force"
             )
     return record
-
-
-def _last(values: np.ndarray, column: str) -> float | None:
-    """Return a curve column's last number that is not blank."""
-    numbers = values[:, curve.COLUMNS.index(column)]
-    numbers = numbers[~np.isnan(numbers)]
-    return float(numbers[-1]) if len(numbers) else None
-
-
-def _affine_arrays(transform: AffineTransform) -> dict[str, np.ndarray]:
-    return {
-        "A": transform.scale.detach().cpu().numpy(),
-        "b": transform.offset.detach().cpu().numpy(),
-    }
-
-
-def load_policy(record: RunRecord) -> Policy:
-    """Return a finished run's policy, ready to `predict`.
-
-    Raises:
-        SilemError: The policy's file is missing or not the recorded one.
-    """
-    config = record.run_config()
-    if config.method == "random":
-        return random_policy(config.body)
-    arrays, _ = files.read_tensors(record.file(POLICY))
-    env = make_vec(config.body, n_envs=1)
-    try:
-        model = make_policy_model(config, env)
-    finally:
-        env.close()
-    model.load_policy_arrays(arrays)
-    return model
-
-
-def state(config: RunConfig) -> str:
-    """Return "finished", "running", "part" (there is a checkpoint) or "missing"."""
-    if find(config.run_id) is not None:
-        return "finished"
-    folder = run_folder(config)
-    if files.is_locked(folder / LOCK):
-        return "running"
-    return "part" if (folder / CHECKPOINT).exists() else "missing"

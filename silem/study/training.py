@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
@@ -127,8 +128,13 @@ class Segments(BaseCallback):
         """Time spent on this run so far, over all sessions."""
         return self._start.wall_time_s + time.perf_counter() - self._began
 
+    @property
+    def _ppo(self) -> PPO:
+        assert isinstance(self.model, PPO)
+        return self.model
+
     def _iteration(self) -> int:
-        return int(self.model.num_timesteps) // self._config.budget.steps_per_iteration
+        return self.model.num_timesteps // self._config.budget.steps_per_iteration
 
     def _on_rollout_start(self) -> None:
         iteration = self._iteration()
@@ -136,15 +142,15 @@ class Segments(BaseCallback):
             self._note(iteration)
         if iteration % self._config.budget.checkpoint_every == 0:
             if iteration > self._start.iteration:
-                self.save()
+                self._save()
             self._begin_segment(iteration)
 
     def _begin_segment(self, iteration: int) -> None:
-        model, seed = self.model, self._config.seed
-        env = model.get_env()
-        assert env is not None and isinstance(model, PPO)
+        model, seed, env = self._ppo, self._config.seed, self.training_env
         env.seed(seeding.child_seed(seed, "env", iteration))
-        model._last_obs = env.reset()
+        # As at learn()'s start; an imitation learner sees by the episode starts that all its
+        # windows begin anew.
+        model._last_obs = np.asarray(env.reset())
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         model.reseed(seeding.child_seed(seed, "model", iteration))
 
@@ -154,13 +160,12 @@ class Segments(BaseCallback):
     def _on_training_end(self) -> None:
         if self._iteration() > self._start.iteration:
             self._note(self._iteration())
-            self.save()
+            self._save()
         self._bar.close()
 
     def _note(self, iteration: int) -> None:
         """Keep the numbers of the iteration that has just been finished."""
-        assert isinstance(self.model, PPO)
-        stats = self.model.iteration_stats
+        stats = self._ppo.iteration_stats
         self._rows.append(curve.row(iteration, self.model.num_timesteps, stats))
         self._bar.update()
         now = time.perf_counter()
@@ -176,20 +181,15 @@ class Segments(BaseCallback):
         }
         files.write_json(self._folder / PROGRESS, content)
 
-    def save(self) -> Checkpoint:
-        """Write the checkpoint of the present state."""
-        assert isinstance(self.model, PPO)
-        checkpoint = Checkpoint(
-            self._start.run_id,
-            self._iteration(),
-            self.wall_time_s,
-            self._start.commits,
-            self._start.demonstrations_sha256,
-            self.curve,
-            self.model.state_arrays(),
+    def _save(self) -> None:
+        checkpoint = dataclasses.replace(
+            self._start,
+            iteration=self._iteration(),
+            wall_time_s=self.wall_time_s,
+            curve=self.curve,
+            model=self._ppo.state_arrays(),
         )
         checkpoint.save(self._folder / CHECKPOINT)
-        return checkpoint
 
     def close(self) -> None:
         """Take the progress bar away."""

@@ -1,0 +1,74 @@
+"""Studies: which runs the figures are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from silem.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
+from silem.errors import SilemError, choose
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
+
+    method: str
+    body: str
+    demonstrations: str | None = None
+
+    def config(self, budget: str | Budget, seed: int, study: str | None = None) -> RunConfig:
+        """Return one trial's configuration."""
+        return RunConfig.create(
+            self.body, self.method, self.demonstrations, budget, seed, study=study
+        )
+
+
+_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
+_STUDIES = {
+    # Figure 2b and Table 1
+    "halfcheetah": (
+        *(Cell("ppo", body) for body in _HALF_CHEETAHS),
+        *(Cell("silem", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell("silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell("silem-minus-own", body, body) for body in _HALF_CHEETAHS),
+        Cell("silem-mlp", "HC0", "HC0"),
+        *(Cell("random", body) for body in _HALF_CHEETAHS),
+    )
+}
+
+
+def cells(study: str) -> list[Cell]:
+    """Return a study's cells, experts first.
+
+    Raises:
+        SilemError: There is no such study.
+    """
+    return list(_STUDIES[choose("study", study, _STUDIES)])
+
+
+def study_configs(
+    study: str, budget: str | Budget, n_trials: int | None = None, **only: Sequence[str] | None
+) -> list[RunConfig]:
+    """Return the runs of a study: the first trial of every cell before any second.
+
+    Args:
+        study: The study.
+        budget: A budget's name, or a `Budget`.
+        n_trials: Trials per cell; None means the budget's own number.
+        **only: ``method=[...]`` and ``body=[...]`` keep those cells alone.
+
+    Raises:
+        SilemError: An unknown study or budget, or more trials than there are fixed seeds.
+    """
+    if isinstance(budget, str):
+        budget = BUDGETS[choose("budget", budget, BUDGETS)]
+    n_trials = budget.n_trials if n_trials is None else n_trials
+    if not 1 <= n_trials <= len(TRIAL_SEEDS):
+        raise SilemError(f"trials must be 1 to {len(TRIAL_SEEDS)}, not {n_trials}")
+    kept = [
+        cell
+        for cell in cells(study)
+        if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
+    ]
+    return [cell.config(budget, seed) for seed in TRIAL_SEEDS[:n_trials] for cell in kept]
