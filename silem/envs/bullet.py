@@ -14,8 +14,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.rendering import Camera
-from silem.envs.simulator import STEP_S, Layout, Simulator
-from silem.envs.tasks import LocomotionTask
+from silem.envs.simulator import STEP_S, Simulator
+from silem.envs.tasks import OBSERVATION_BOUND, LocomotionTask, as_observations
 from silem.errors import SilemError, choose
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
@@ -24,7 +24,9 @@ MAX_STEPS = 1000
 
 def spaces(body: Body) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     """Return a body's observation space and action space."""
-    observation = gymnasium.spaces.Box(-np.inf, np.inf, (body.observation_size,), np.float32)
+    observation = gymnasium.spaces.Box(
+        -OBSERVATION_BOUND, OBSERVATION_BOUND, (body.observation_size,), np.float32
+    )
     return observation, gymnasium.spaces.Box(-1.0, 1.0, (body.action_size,), np.float32)
 
 
@@ -88,6 +90,7 @@ class BulletVecEnv(VecEnv):
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
         self.render_mode = render_mode
+        self._torques = np.array([motor.torque_n_m for motor in self.body.motors])
         self.max_steps = int(max_steps)
         self._simulators: list[Simulator] = []
         self._generators: list[np.random.Generator] = []
@@ -148,22 +151,23 @@ class BulletVecEnv(VecEnv):
         if not self._simulators or self._actions is None:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
-        torques = (np.clip(actions, -1, 1) * self._task.torques).tolist()
-        rows = np.array(
-            [sim.step(torque) for sim, torque in zip(self._simulators, torques, strict=True)]
-        )
-        observations, rewards, upright = self._task.step(actions, rows)
+        torques = (np.maximum(np.minimum(actions, 1), -1) * self._torques).tolist()
+        moves = zip(self._simulators, self._tasks, actions.tolist(), torques, strict=True)
+        results = [task.step(act, sim.step(torque)) for sim, task, act, torque in moves]
+        observations = as_observations([result[0] for result in results])
+        rewards = np.array([result[1] for result in results], dtype=np.float32)
+        upright = np.array([result[2] for result in results])
         self._length += 1
         self._return += rewards
         self._n_upright += upright
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        fallen = self._task.terminated(upright, rewards)
+        fallen = ~upright & self.body.alive.terminates
         dones = fallen | (self._length >= self.max_steps)
         for index in np.flatnonzero(dones).tolist():
             infos[index] = {
                 "terminal_observation": observations[index].copy(),
-                "TimeLimit.truncated": not fallen[index],
-                "episode": self._episode(index, rows[index]),
+                "TimeLimit.truncated": not bool(fallen[index]),
+                "episode": self._episode(index),
             }
             observations[index] = self._begin(index)
         return observations, rewards, dones, infos
@@ -227,21 +231,20 @@ class BulletVecEnv(VecEnv):
         self.close()
         self._generators, self._next_generators = self._next_generators, []
         self._simulators = [Simulator(self.body) for _ in range(self.num_envs)]
-        self._task = LocomotionTask(self.body, self._simulators[0].limits, self.num_envs)
-        self._position = Layout.of(self.body).position
+        self._tasks = [LocomotionTask(self.body, sim.limits) for sim in self._simulators]
 
     def _begin(self, index: int) -> np.ndarray:
         """Start an episode of one environment and return its first observation (O,)."""
         angles = start_angles(self._generators[index], self.body)
-        row = np.array(self._simulators[index].reset(angles))
-        self._start_x[index] = row[self._position.start]
+        state = self._simulators[index].reset(angles)
+        self._start_x[index] = state.parts[0][0]
         self._length[index] = self._n_upright[index] = self._return[index] = 0
-        return self._task.begin(index, row)
+        return as_observations(self._tasks[index].begin(state))
 
-    def _episode(self, index: int, row: np.ndarray) -> dict[str, float]:
-        """Return what `infos` says of an episode that ends with `row`."""
+    def _episode(self, index: int) -> dict[str, float]:
+        """Return what `infos` says of an episode that has just ended."""
         length = int(self._length[index])
-        distance_m = row[self._position.start] - self._start_x[index]
+        distance_m = self._simulators[index].read().parts[0][0] - self._start_x[index]
         return {
             "r": float(self._return[index]),
             "l": length,
