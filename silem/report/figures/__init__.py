@@ -1,0 +1,17 @@
+"""Every figure that is drawn from runs: a table of `silem.report.results` in, a figure out."""
+
+from __future__ import annotations
+
+from silem.report.figures.learning import learning_curves, transforms
+from silem.report.figures.sources import runs_of
+from silem.report.figures.trials import affine_or_mlp, experts, gaits, normalised_scores
+
+__all__ = [
+    "affine_or_mlp",
+    "experts",
+    "gaits",
+    "learning_curves",
+    "normalised_scores",
+    "runs_of",
+    "transforms",
+]

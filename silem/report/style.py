@@ -1,0 +1,182 @@
+"""One look for every figure: sizes, colours and names of the methods, and deterministic SVG.
+
+Figures are `matplotlib.figure.Figure` objects, never pyplot's, so drawing one leaves no state
+behind. The colours are Okabe and Ito's, which stay apart under the common colour blindnesses;
+markers repeat what colour says.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from silem import files
+from silem.errors import choose
+
+WIDTH_IN = 7.6
+"""Width of a figure that fills the book's text column, inches."""
+
+INK = "#222222"
+MUTED = "#6b6b6b"
+FAINT = "#d9d9d9"
+PAPER = "#E69F00"
+"""Colour of the paper's own numbers."""
+
+WARNING = "#B3261E"
+_CHARACTERS_PER_IN = 14.5  # of the footer's small print
+
+_SETTINGS: Any = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same widths on every machine
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 8.0,
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.grid.axis": "y",
+    "grid.color": "#e8e8e8",
+    "grid.linewidth": 0.8,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": "white",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "silem",  # the same figure gives the same bytes
+}
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """How a method is drawn, the same in every figure."""
+
+    label: str
+    color: str
+    marker: str
+
+
+METHODS = {
+    "silem": MethodStyle("SILEM", "#0072B2", "o"),
+    "silem-minus": MethodStyle("SILEM⁻ ({original} expert)", "#D55E00", "s"),
+    "silem-minus-own": MethodStyle("SILEM⁻ (own expert)", "#009E73", "^"),
+    "silem-mlp": MethodStyle("SILEM with an MLP", "#CC79A7", "D"),
+    "ppo": MethodStyle("PPO expert", "#444444", "P"),
+    "random": MethodStyle("random policy", "#999999", "X"),
+}
+
+# Bodies of a family differ in one length, so their colours run from light to dark.
+_BODY_COLORS = {"light": (0.80, 0.74, 0.90), "dark": (0.25, 0.07, 0.42)}
+
+
+def method(name: str, original: str = "HC0") -> MethodStyle:
+    """Return a method's style with its label filled in.
+
+    Args:
+        name: A method of this project.
+        original: The body whose expert demonstrates to the others.
+
+    Raises:
+        SilemError: If the method is unknown.
+    """
+    chosen = METHODS[choose("method", name, METHODS)]
+    return MethodStyle(chosen.label.format(original=original), chosen.color, chosen.marker)
+
+
+def body_color(index: int, count: int) -> str:
+    """Return the colour of body `index` of `count`, light to dark."""
+    share = index / max(count - 1, 1)
+    light, dark = np.array(_BODY_COLORS["light"]), np.array(_BODY_COLORS["dark"])
+    return to_hex(light + share * (dark - light))
+
+
+@contextmanager
+def applied() -> Iterator[None]:
+    """Draw the block in this project's look; what was set before comes back after it."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_SETTINGS)
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN, **subplots: Any) -> tuple[Figure, Any]:
+    """Return a figure with constrained layout and its axes.
+
+    Args:
+        height_in: Height, inches.
+        width_in: Width, inches.
+        **subplots: Passed to `Figure.subplots`.
+    """
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.subplots(**subplots)
+
+
+def empty_slot(axes: Axes, x: float, text: str = "no run", color: str = MUTED) -> None:
+    """Mark a cell without a run: a dashed outline of the slot with a word in it."""
+    transform = axes.get_xaxis_transform()
+    axes.plot([x, x], [0.18, 0.94], transform=transform, color=FAINT, lw=1, ls=(0, (2, 3)))
+    axes.text(
+        x, 0.56, text, transform=transform, rotation=90, ha="center", va="center",
+        fontsize=8, color=color, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
+    )  # fmt: skip
+
+
+def footer(figure: Figure, text: str, *, warn: bool = False) -> None:
+    """Write what a figure shows (budget, runs) under it, in small print; in red to warn."""
+    lines = textwrap.wrap(text, int(_CHARACTERS_PER_IN * figure.get_figwidth()))
+    color = WARNING if warn else MUTED
+    figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8, color=color, linespacing=1.4)
+
+
+def number(value: float) -> str:
+    """Write a whole number with thousands separated and a true minus."""
+    return f"{value:,.0f}".replace("-", "−")
+
+
+def trials(count: int) -> str:
+    """Say how many trials there are: "no run", "one trial", "5 trials"."""
+    return {0: "no run", 1: "one trial"}.get(count, f"{count} trials")
+
+
+def svg(figure: Figure) -> str:
+    """Return a figure as SVG text; the same figure always gives the same text."""
+    stream = io.StringIO()
+    with applied():
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    # The XML prologue is of no use inside a page.
+    return re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure atomically as SVG, or as PNG where the name ends so."""
+    if path.suffix == ".png":
+        stream = io.BytesIO()
+        with applied():
+            figure.savefig(stream, format="png", dpi=200, metadata={"Software": None})
+        files.write_bytes(path, stream.getvalue())
+    else:
+        files.write_text(path, svg(figure))

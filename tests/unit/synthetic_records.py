@@ -1,0 +1,137 @@
+"""Made-up records in the true format, for tests of everything that reads records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from silem import files, paths
+from silem.config import RunConfig
+from silem.study import curve
+from silem.study.campaign import study_configs
+from silem.study.record import RunRecord
+
+EXPERT_RETURNS = {"HC0": 2450.0, "HC1": 1500.0, "HC2": 820.0}
+RANDOM_RETURNS = {"HC0": -1555.0, "HC1": -1480.0, "HC2": -1600.0}
+NORMALISED = {
+    ("silem", "HC0"): 0.93,
+    ("silem", "HC1"): 0.81,
+    ("silem", "HC2"): 0.70,
+    ("silem-minus", "HC0"): 0.95,
+    ("silem-minus", "HC1"): 0.32,
+    ("silem-minus", "HC2"): -0.35,
+    ("silem-minus-own", "HC0"): 0.96,
+    ("silem-minus-own", "HC1"): 0.94,
+    ("silem-minus-own", "HC2"): 0.90,
+    ("silem-mlp", "HC0"): -0.80,
+}
+N_FEATURES = 26
+
+
+def typical_return(config: RunConfig) -> float:
+    """The return that a made-up cell is centred on."""
+    if config.method == "random":
+        return RANDOM_RETURNS[config.body]
+    level = 1.0 if config.method == "ppo" else NORMALISED[config.method, config.body]
+    return level * EXPERT_RETURNS[config.body]
+
+
+def write_record(
+    config: RunConfig,
+    return_mean: float | None = None,
+    disc_reward: float | None = 430.0,
+    commit: str = "0123456789abcdef0123456789abcdef01234567",
+    folder: Path | None = None,
+) -> RunRecord:
+    """Write one made-up run's folder as a finished run leaves it, and return its record."""
+    rng = np.random.default_rng([config.seed, len(config.run_id), ord(config.run_id[-1])])
+    if return_mean is None:
+        return_mean = typical_return(config) + 70.0 * rng.normal()
+    folder = folder or paths.results_dir(config.study) / config.run_id
+    imitates = config.transform is not None
+    returns = return_mean + 30.0 * rng.normal(size=config.budget.n_eval_episodes)
+    written = {}
+    if config.method != "random":
+        files.write_text(folder / "curve.csv", _curve(config, return_mean, rng))
+        written["curve.csv"] = files.sha256(folder / "curve.csv")
+    if config.transform == "affine":
+        length = int(config.body[-1])
+        arrays = {
+            "A": 1 + 0.12 * length * rng.normal(size=N_FEATURES),
+            "b": 0.08 * length * rng.normal(size=N_FEATURES),
+        }
+        files.write_npz(folder / "transform.npz", arrays)
+        written["transform.npz"] = files.sha256(folder / "transform.npz")
+    record = RunRecord(
+        run_id=config.run_id,
+        status="finished",
+        config=config.to_dict(),
+        evaluation={
+            "n_episodes": len(returns),
+            "return_mean": float(returns.mean()),
+            "return_std": float(returns.std()),
+            "returns": [round(float(value), 3) for value in returns],
+            "speed_m_s": max(0.02, 2.4 * (return_mean + 200) / 2600),
+            "upright": float(np.clip(0.5 + return_mean / 4000, 0, 1)),
+            "disc_reward_mean": disc_reward if imitates else None,
+        },
+        training={
+            "n_steps": 0 if config.method == "random" else config.budget.n_steps,
+            "steps_per_s": None if config.method == "random" else 2400.0,
+            "disc_reward_last": disc_reward if imitates else None,
+        },
+        provenance={
+            "git_commit": commit,
+            "git_dirty": False,
+            "environment_sha256": "0" * 64,
+            "packages": {},
+            "python": "3.11",
+            "earlier_commits": [],
+        },
+        demonstrations_sha256="0" * 64 if imitates else None,
+        wall_time_s=0.0 if config.method == "random" else 420.0,
+        files=written,
+        folder=folder,
+    )
+    record.save(folder)
+    return record
+
+
+def write_study(
+    budget: str = "book",
+    n_trials: int | None = None,
+    without: Mapping[tuple[str, str], int] | None = None,
+) -> list[RunRecord]:
+    """Write a whole made-up study.
+
+    Args:
+        budget: The budget.
+        n_trials: Trials per cell.
+        without: (method, body) -> how many trials of that cell there are, where fewer.
+    """
+    kept = []
+    for config in study_configs("halfcheetah", budget, n_trials):
+        limit = (without or {}).get((config.method, config.body))
+        if limit is None or config.seed < limit:
+            disc_reward = 466.0 if config.method == "silem-mlp" else 430.0
+            kept.append(write_record(config, disc_reward=disc_reward + 5 * config.seed))
+    return kept
+
+
+def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> str:
+    """A curve that rises from the random policy's return to the run's own."""
+    n = config.budget.n_iterations
+    share = 1 - np.exp(-5 * np.arange(1, n + 1) / n)
+    start = RANDOM_RETURNS[config.body]
+    returns = start + share * (return_mean - start) + 60 * rng.normal(size=n)
+    rows = []
+    for i in range(n):
+        stats = {"policy_std": 1 - 0.8 * share[i]}
+        if i % 4 == 3:  # an episode ends only now and then
+            stats |= {"return_mean": returns[i], "speed_m_s": max(0, 2.4 * returns[i] / 2600)}
+        if config.transform is not None:
+            stats |= {"disc_reward": 450 * share[i] + 12 * rng.normal(), "disc_loss": 1.2}
+        rows.append(curve.row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
+    return curve.to_csv(np.array(rows))
