@@ -18,6 +18,7 @@ _COEFFICIENTS = {
     "fshin": 60.0,
     "ffoot": 30.0,
 }
+_LOWER_LIMBS = ("bshin", "bfoot", "fshin", "ffoot")
 _HEAD_OVERHANG_M = 0.1  # from the torso's front end to the middle of the head
 
 
@@ -41,7 +42,6 @@ def model(torso_length_m: float) -> str:
 
 def body(name: str, torso_length_m: float) -> Body:
     """Return the registry entry of a HalfCheetah with a torso of the given length."""
-    limbs = tuple(_COEFFICIENTS)
     return Body(
         name=name,
         family="halfcheetah",
@@ -52,9 +52,10 @@ def body(name: str, torso_length_m: float) -> Body:
         root_joints=("ignorex", "ignorez", "ignorey"),
         motors=tuple(Motor(joint, _POWER * c) for joint, c in _COEFFICIENTS.items()),
         feet=("ffoot", "fshin", "fthigh", "bfoot", "bshin", "bthigh"),
-        # PyBullet splits every joint into a massless link and the body proper, which coincide;
-        # the torso carries the three massless links of its root joints. With the floor: 17.
-        part_weights=(("torso", 4.0), *((limb, 2.0) for limb in limbs)),
+        # 17 parts: PyBullet splits each limb into a massless link and the limb proper, which
+        # coincide, and the torso into four; the last part is the floor. The thighs hang on the
+        # torso's ends, opposite around its centre, so the torso stands for them.
+        part_weights=(("torso", 4.0 + 2 * 2.0), *((limb, 2.0) for limb in _LOWER_LIMBS)),
         n_parts=17,
         alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
         length=("length of the torso", torso_length_m),

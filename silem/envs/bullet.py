@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -14,7 +15,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.rendering import Camera
-from silem.envs.simulator import STEP_S, Simulator
+from silem.envs.simulator import Simulator
 from silem.envs.tasks import OBSERVATION_BOUND, LocomotionTask, as_observations
 from silem.errors import SilemError, choose
 
@@ -48,7 +49,7 @@ def checked_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
         raise SilemError(f"actions are not numbers: {error}") from error
     if array.shape != shape:
         raise SilemError(f"actions of shape {array.shape}; expected {shape}")
-    if not np.isfinite(array).all():
+    if not math.isfinite(array.sum(dtype=np.float64)):
         raise SilemError("actions contain NaN or infinity")
     return array
 
@@ -96,10 +97,6 @@ class BulletVecEnv(VecEnv):
         self._generators: list[np.random.Generator] = []
         self._camera: Camera | None = None
         self._actions: np.ndarray | None = None
-        self._start_x = np.zeros(n_envs)
-        self._length = np.zeros(n_envs, dtype=int)
-        self._return = np.zeros(n_envs)
-        self._n_upright = np.zeros(n_envs, dtype=int)
         self._built_at = time.perf_counter()
         super().__init__(int(n_envs), *spaces(self.body))
         self.seed(seed)
@@ -151,26 +148,18 @@ class BulletVecEnv(VecEnv):
         if not self._simulators or self._actions is None:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
-        torques = (np.maximum(np.minimum(actions, 1), -1) * self._torques).tolist()
-        moves = zip(self._simulators, self._tasks, actions.tolist(), torques, strict=True)
-        results = [task.step(act, sim.step(torque)) for sim, task, act, torque in moves]
-        observations = as_observations([result[0] for result in results])
-        rewards = np.array([result[1] for result in results], dtype=np.float32)
-        upright = np.array([result[2] for result in results])
-        self._length += 1
-        self._return += rewards
-        self._n_upright += upright
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        fallen = ~upright & self.body.alive.terminates
-        dones = fallen | (self._length >= self.max_steps)
-        for index in np.flatnonzero(dones).tolist():
-            infos[index] = {
-                "terminal_observation": observations[index].copy(),
-                "TimeLimit.truncated": not bool(fallen[index]),
-                "episode": self._episode(index),
-            }
-            observations[index] = self._begin(index)
-        return observations, rewards, dones, infos
+        torques = (actions.clip(-1, 1) * self._torques).tolist()
+        moves = zip(self._tasks, self._simulators, actions.tolist(), torques, strict=True)
+        results = [task.step(action, sim.step(torque)) for task, sim, action, torque in moves]
+        observations = as_observations([observation for observation, _ in results])
+        rewards = np.array([reward for _, reward in results], dtype=np.float32)
+        dones = [task.terminated or task.length >= self.max_steps for task in self._tasks]
+        infos: list[dict[str, Any]] = [{} for _ in dones]
+        for index, done in enumerate(dones):
+            if done:
+                infos[index] = self._last_info(index, observations[index].copy())
+                observations[index] = self._begin(index)
+        return observations, rewards, np.array(dones), infos
 
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment.
@@ -237,18 +226,13 @@ class BulletVecEnv(VecEnv):
         """Start an episode of one environment and return its first observation (O,)."""
         angles = start_angles(self._generators[index], self.body)
         state = self._simulators[index].reset(angles)
-        self._start_x[index] = state.parts[0][0]
-        self._length[index] = self._n_upright[index] = self._return[index] = 0
         return as_observations(self._tasks[index].begin(state))
 
-    def _episode(self, index: int) -> dict[str, float]:
-        """Return what `infos` says of an episode that has just ended."""
-        length = int(self._length[index])
-        distance_m = self._simulators[index].read().parts[0][0] - self._start_x[index]
+    def _last_info(self, index: int, observation: np.ndarray) -> dict[str, Any]:
+        """Return the info of an episode that has just ended with this observation (O,)."""
+        task = self._tasks[index]
         return {
-            "r": float(self._return[index]),
-            "l": length,
-            "t": time.perf_counter() - self._built_at,
-            "speed_m_s": float(distance_m / (length * STEP_S)),
-            "upright": float(self._n_upright[index] / length),
+            "terminal_observation": observation,
+            "TimeLimit.truncated": not task.terminated,
+            "episode": task.summary() | {"t": time.perf_counter() - self._built_at},
         }

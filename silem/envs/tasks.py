@@ -28,14 +28,18 @@ _JOINT_VELOCITY_SCALE = 0.1
 
 
 class LocomotionTask:
-    """Observation and reward of one body.
+    """Observation and reward of one body, and the tally of its running episode.
 
     The observation (O,) is: the root's height above its start; sine and cosine of the angle to
     the target; 0.3 times the root's velocity in m/s in its own heading (forward, left, up); roll
     and pitch in rad; then per motor the angle, scaled to -1..1 between its limits, and 0.1 times
     the velocity in rad/s; then 1 or 0 per foot for floor contact. As in PyBullet's tasks the
     contacts, in the observation and in the alive rule, are those of one step before. Whoever
-    hands an observation out clips it to `OBSERVATION_BOUND`.
+    hands an observation out clips it, see `as_observations`.
+
+    Attributes:
+        length: Steps since the episode began.
+        upright: Whether the body was upright after the last step.
     """
 
     def __init__(self, body: Body, limits: Sequence[tuple[float, float]]) -> None:
@@ -52,19 +56,20 @@ class LocomotionTask:
         self._ranges = [(s, -lower * s - 1) for s, (lower, _) in zip(scales, limits, strict=True)]
         self._at_rest = [0.0] * len(limits)
         self._no_foot = [0.0] * len(body.feet)
-        self._contact = self._no_foot
-        self._start_height_m = self._distance_m = 0.0
 
     def begin(self, state: State) -> list[float]:
         """Start an episode and return its first observation (O,), not yet clipped."""
+        self.length = self._n_upright = 0
+        self.upright = True
+        self._return = 0.0
         self._contact = self._no_foot
-        self._start_height_m = state.parts[0][2]
+        self._start_x_m, _, self._start_height_m = self._position = state.parts[0]
         observation, self._distance_m = self._observe_root(state)
         self._observe_joints(observation, state, self._at_rest)
         observation += self._contact
         return observation
 
-    def step(self, action: Sequence[float], state: State) -> tuple[list[float], float, bool]:
+    def step(self, action: Sequence[float], state: State) -> tuple[list[float], float]:
         """Score one step.
 
         Args:
@@ -72,18 +77,38 @@ class LocomotionTask:
             state: What the simulator holds after the step.
 
         Returns:
-            Observation (O,), not yet clipped, reward, and whether the body is upright.
+            Observation (O,), not yet clipped, and reward.
         """
         observation, distance_m = self._observe_root(state)
         reward = (self._distance_m - distance_m) / STEP_S
-        self._distance_m = distance_m
         reward += self._observe_joints(observation, state, action)
         observation += self._contact
-        upright = self._upright(state)
+        self.upright = upright = self._is_upright(state)
+        reward += 1.0 if upright else -1.0
+        self._distance_m = distance_m
+        self._position = state.parts[0]
         self._contact = state.contact
-        return observation, reward + (1.0 if upright else -1.0), upright
+        self._n_upright += upright
+        self._return += reward
+        self.length += 1
+        return observation, reward
 
-    def _upright(self, state: State) -> bool:
+    @property
+    def terminated(self) -> bool:
+        """Whether the last step ended the episode by the alive rule."""
+        return self._rule.terminates and not self.upright
+
+    def summary(self) -> dict[str, float]:
+        """Return the episode so far: return `r`, length `l`, `speed_m_s` and `upright`."""
+        distance_m = self._position[0] - self._start_x_m
+        return {
+            "r": self._return,
+            "l": self.length,
+            "speed_m_s": distance_m / (self.length * STEP_S),
+            "upright": self._n_upright / self.length,
+        }
+
+    def _is_upright(self, state: State) -> bool:
         rule, contact = self._rule, self._contact
         return (
             state.parts[0][2] > rule.min_height_m
@@ -94,7 +119,7 @@ class LocomotionTask:
     def _observe_root(self, state: State) -> tuple[list[float], float]:
         """Return the observation's first eight numbers and the distance to the target in m."""
         ahead, aside = _TARGET_M, 0.0  # from the mean place of the parts to the target
-        for weight, (x, y, _) in zip(self._weights, state.parts):
+        for weight, (x, y, _) in zip(self._weights, state.parts, strict=True):
             ahead -= weight * x
             aside -= weight * y
         distance = math.hypot(ahead, aside)
@@ -119,7 +144,7 @@ class LocomotionTask:
         """Append the joints' numbers to the observation and return what motors and limits cost."""
         power = stall = 0.0
         n_at_limit = 0
-        for joint, (scale, shift), command in zip(state.joints, self._ranges, action):
+        for joint, (scale, shift), command in zip(state.joints, self._ranges, action, strict=True):
             angle = joint[0] * scale + shift
             velocity = joint[1] * _JOINT_VELOCITY_SCALE
             observation += (angle, velocity)
@@ -133,5 +158,4 @@ class LocomotionTask:
 def as_observations(observations: Sequence[Sequence[float]] | Sequence[float]) -> np.ndarray:
     """Return observations as a float32 array, clipped to the bounds of the observation space."""
     array = np.array(observations, dtype=np.float32)
-    np.minimum(array, OBSERVATION_BOUND, out=array)
-    return np.maximum(array, -OBSERVATION_BOUND, out=array)
+    return array.clip(-OBSERVATION_BOUND, OBSERVATION_BOUND, out=array)
