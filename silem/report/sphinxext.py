@@ -24,20 +24,26 @@ from silem.config import BUDGETS, METHODS, HyperParameters
 from silem.errors import SilemError
 
 Row = Sequence[str]
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def as_text(value: Any) -> str:
-    """Write a number or a list of numbers as prose does: a true minus, commas between entries."""
+    """Write a number or a list of numbers as prose does: a true minus, powers of ten raised."""
     if isinstance(value, list | tuple):
         return ", ".join(as_text(entry) for entry in value)
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return f"{value:g}".replace("-", "−") if abs(value) < 1e5 else str(value)
-    return str(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    digits, _, exponent = f"{value:.12g}".replace("-", "−").partition("e")
+    if not exponent:
+        return digits
+    power = "10" + str(int(exponent.replace("−", "-"))).translate(_RAISED)
+    return power if digits == "1" else f"{digits} × {power}"
 
 
 def layers(sizes: Sequence[int]) -> str:
     """Write layer sizes, e.g. ``3 × 128``."""
-    return f"{len(sizes)} × {sizes[0]}" if len(set(sizes)) == 1 else as_text(sizes)
+    equal = len(sizes) > 1 and len(set(sizes)) == 1
+    return f"{len(sizes)} × {sizes[0]}" if equal else as_text(sizes)
 
 
 class PaperNumberRole(SphinxRole):
@@ -50,7 +56,8 @@ class PaperNumberRole(SphinxRole):
             value = paper.number(name)
         except SilemError as error:
             return [], [self.inliner.reporter.error(str(error), line=self.lineno)]
-        text = as_text(value[int(index)] if index else value)
+        entry = value[int(index)] if index else value
+        text = layers(entry) if isinstance(entry, list) else as_text(entry)
         source = f"{paper.numbers()[name].meaning} ({paper.numbers()[name].where})"
         return [nodes.abbreviation(self.rawtext, text, explanation=source)], []
 

@@ -1,0 +1,85 @@
+"""Executing notebooks and laying out the book."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbformat import v4
+
+from silem.errors import SilemError
+from silem.paths import REPO
+from silem.report import bookbuild
+
+
+def write_notebook(path: Path, *sources: str) -> Path:
+    cells = [v4.new_markdown_cell("# Title"), *map(v4.new_code_cell, sources)]
+    cells[1].metadata["tags"] = ["parameters"]
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    nbformat.write(v4.new_notebook(cells=cells, metadata={"kernelspec": kernel}), path)
+    return path
+
+
+def test_executed_copies_hold_outputs_and_a_failure_names_its_notebook(tmp_path: Path) -> None:
+    good = write_notebook(tmp_path / "01_good.ipynb", "x = 1", "print(x + 41)")
+    bad = write_notebook(tmp_path / "02_bad.ipynb", "x = 1", "raise RuntimeError('no such expert')")
+    with pytest.raises(SilemError, match=r"(?s)02_bad failed.*no such expert") as caught:
+        bookbuild.execute_notebooks([good, bad], tmp_path / "out", n_workers=2)
+    assert "01_good" not in str(caught.value)
+    executed = nbformat.read(tmp_path / "out" / "01_good.ipynb", as_version=4)
+    assert executed.cells[-1].outputs[0].text == "42\n"
+    assert nbformat.read(good, as_version=4).cells[-1].outputs == []
+
+
+def test_book_parameters_are_injected_and_folded_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bookbuild, "BOOK_PARAMETERS", {"01_page": {"budget": "book"}})
+    path = write_notebook(tmp_path / "01_page.ipynb", "budget = 'tiny'", "print(budget)")
+    bookbuild.execute_notebooks([path], tmp_path / "out", n_workers=1)
+    bookbuild.stage(tmp_path / "out", tmp_path / "source")
+    staged = nbformat.read(tmp_path / "source" / "notebooks" / "01_page.ipynb", as_version=4)
+    (injected,) = [c for c in staged.cells if "injected-parameters" in c.metadata.get("tags", [])]
+    assert "hide-input" in injected.metadata["tags"]
+    assert staged.cells[-1].outputs[0].text == "book\n"
+    assert (tmp_path / "source" / "book" / "method.md").exists()
+
+
+def test_book_parameters_name_notebooks_there_are() -> None:
+    assert set(bookbuild.BOOK_PARAMETERS) <= {path.stem for path in bookbuild.notebooks()}
+
+
+@pytest.mark.parametrize(
+    ("text", "builds"), [("# Page\n\n[](other.md)\n", False), ("# Page\n\nText.\n", True)]
+)
+def test_a_reference_that_leads_nowhere_fails_the_build(
+    tmp_path: Path, text: str, builds: bool
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    (source / "_config.yml").write_text("title: t\nauthor: a\n")
+    (source / "_toc.yml").write_text("format: jb-book\nroot: page\n")
+    (source / "page.md").write_text(text)
+    if builds:
+        bookbuild.build_html(source, tmp_path)
+        assert (tmp_path / "_build" / "html" / "page.html").exists()
+    else:
+        with pytest.raises(SilemError, match="did not build"):
+            bookbuild.build_html(source, tmp_path)
+
+
+def test_the_digest_follows_the_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    record = tmp_path / "results" / "halfcheetah" / "run" / "record.json"
+    record.parent.mkdir(parents=True)
+    record.write_text("1")
+    before = bookbuild.source_digest()
+    assert bookbuild.source_digest() == before
+    record.write_text("2")
+    assert bookbuild.source_digest() != before
+
+
+def test_the_table_of_contents_lists_every_notebook() -> None:
+    toc = (REPO / "_toc.yml").read_text()
+    assert [p.stem for p in bookbuild.notebooks() if f"notebooks/{p.stem}\n" not in toc] == []

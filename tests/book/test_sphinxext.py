@@ -1,0 +1,60 @@
+"""Numbers and tables that the prose takes from the code."""
+
+from __future__ import annotations
+
+import pytest
+from docutils.core import publish_doctree
+from docutils.parsers.rst import roles
+
+from silem import paper
+from silem.config import HyperParameters
+from silem.report import sphinxext
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (-1555, "−1555"),
+        (2249, "2249"),
+        (0.999, "0.999"),
+        (2e-4, "0.0002"),
+        (1e-5, "10⁻⁵"),
+        (2.5e-7, "2.5 × 10⁻⁷"),
+        ([10, 20], "10, 20"),
+        (1.0, "1"),
+    ],
+)
+def test_numbers_are_written_as_prose_does(value: object, text: str) -> None:
+    assert sphinxext.as_text(value) == text
+
+
+def test_layers() -> None:
+    assert sphinxext.layers([128, 128, 128]) == "3 × 128"
+    assert sphinxext.layers([128, 64]) == "128, 64"
+    assert sphinxext.layers([100]) == "100"
+
+
+def parsed(text: str) -> str:
+    roles.register_local_role("paper-number", sphinxext.PaperNumberRole())
+    roles.register_local_role("setting", sphinxext.SettingRole())
+    return publish_doctree(text, settings_overrides={"report_level": 5}).astext()
+
+
+def test_roles_show_the_value_the_code_uses() -> None:
+    assert parsed(":paper-number:`expert_return`") == str(paper.number("expert_return"))
+    expected = sphinxext.as_text(HyperParameters().gradient_penalty)
+    assert parsed(":setting:`gradient_penalty`") == expected
+
+
+@pytest.mark.parametrize("role", ["paper-number", "setting"])
+def test_an_unknown_name_is_an_error_that_lists_the_allowed_ones(role: str) -> None:
+    text = parsed(f":{role}:`nonsense`")
+    assert "nonsense" in text and "allowed" in text
+
+
+def test_every_kind_of_table_has_a_cell_for_each_column() -> None:
+    writers = {"common": sphinxext._common, "grid": sphinxext._grid}
+    writers |= {"best": sphinxext._best, "result": sphinxext._result}
+    for table in paper.tables().values():
+        head, rows = writers[table.kind](table)
+        assert rows and {len(row) for row in rows} == {len(head)}, table.key
