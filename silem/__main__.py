@@ -12,6 +12,11 @@ from typing import Any
 from silem import bodies, files, paths
 from silem.config import BUDGETS, DEMONSTRATOR_SEED, METHODS, Budget, RunConfig
 from silem.errors import SilemError, choose
+from silem.study import campaign, runs, studies
+from silem.study.demonstrate import demonstrate
+from silem.study.evaluate import evaluate
+from silem.study.policies import load_policy
+from silem.study.record import RunRecord
 
 _EXAMPLES = """\
 examples:
@@ -30,7 +35,7 @@ The environment variable SILEM_DATA_DIR moves the data folder.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 on a bad request, 130 on Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     try:
         options.command(options)
     except SilemError as error:
@@ -42,14 +47,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    whole = argparse.ArgumentParser(
         prog="python -m silem",
         description="Imitation learning across bodies: runs, campaigns and their records.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = whole.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
     _add_campaign(commands)
     _add_status(commands)
@@ -77,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("bodies", help="list the bodies")
     command.set_defaults(command=_bodies)
-    return parser
+    return whole
 
 
 def _add_quiet(command: argparse.ArgumentParser) -> None:
@@ -137,24 +143,25 @@ def _budget(options: argparse.Namespace) -> Budget:
     return budget.with_iterations(options.iterations) if options.iterations else budget
 
 
-def _run(options: argparse.Namespace) -> None:
-    from silem.study import runs
-
+def config_of(options: argparse.Namespace) -> RunConfig:
+    """Return the configuration that the options of ``run`` ask for."""
     if options.config:
-        config = RunConfig.from_dict(files.read_json(options.config))
-    elif options.body and options.method:
-        config = RunConfig.create(
-            options.body,
-            options.method,
-            options.demonstrations,
-            _budget(options),
-            options.seed,
-            study=options.study,
-            **dict(_setting(text) for text in options.set),
-        )
-    else:
+        return RunConfig.from_dict(files.read_json(options.config))
+    if not (options.body and options.method):
         raise SilemError("run needs --body and --method (or --config)")
-    record = runs.run(config, not options.quiet, options.force, options.wait)
+    return RunConfig.create(
+        options.body,
+        options.method,
+        options.demonstrations,
+        _budget(options),
+        options.seed,
+        study=options.study,
+        **dict(_setting(text) for text in options.set),
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    record = runs.run(config_of(options), not options.quiet, options.force, options.wait)
     _print_evaluation(record.run_id, record.evaluation)
 
 
@@ -179,9 +186,7 @@ def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
 
 
 def _campaign(options: argparse.Namespace) -> None:
-    from silem.study import campaign
-
-    configs = campaign.study_configs(
+    configs = studies.study_configs(
         options.study, _budget(options), options.trials, body=options.body, method=options.method
     )
     records = campaign.campaign(configs, options.workers, progress=not options.quiet)
@@ -190,23 +195,10 @@ def _campaign(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    from silem.config import TRIAL_SEEDS
-    from silem.study import campaign, runs
-
-    budget = _budget(options)
-    seeds = TRIAL_SEEDS[: budget.n_trials]
-    print(f"{options.study}, budget {budget.name}, trials by seed:")
-    print(f"{'':34}" + "".join(f"{seed:<10}" for seed in seeds))
-    for cell in campaign.cells(options.study):
-        source = f" from {cell.demonstrations}" if cell.demonstrations else ""
-        states = [runs.state(cell.config(budget, seed)) for seed in seeds]
-        name = f"{cell.method} {cell.body}{source}"
-        print(f"{name:34}" + "".join(f"{state:<10}" for state in states))
+    print(studies.status_table(options.study, _budget(options)))
 
 
-def _finished(run_id: str) -> Any:
-    from silem.study import runs
-
+def _finished(run_id: str) -> RunRecord:
     record = runs.find(run_id)
     if record is None:
         raise SilemError(f"there is no finished run {run_id!r} in {paths.data_dir()}")
@@ -214,9 +206,6 @@ def _finished(run_id: str) -> Any:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from silem.study.evaluate import evaluate
-    from silem.study.policies import load_policy
-
     record = _finished(options.run_id)
     body = record.config["body"]
     result = evaluate(load_policy(record), body, options.episodes, progress=True)
@@ -224,8 +213,6 @@ def _evaluate(options: argparse.Namespace) -> None:
 
 
 def _demonstrations(options: argparse.Namespace) -> None:
-    from silem.study.demonstrate import demonstrate
-
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
     run_id = options.run
@@ -240,8 +227,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    from silem.report import rendering
-    from silem.study.policies import load_policy
+    from silem.report import rendering  # imports drawing libraries that no other command needs
 
     record = _finished(options.run_id)
     policy = load_policy(record)

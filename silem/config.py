@@ -133,7 +133,7 @@ class RunConfig:
         for name in HyperParameters.names_used_by(self.method):
             value = getattr(self.hyper, name)
             if value != getattr(default.hyper, name):
-                text = ",".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+                text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
 

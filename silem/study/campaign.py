@@ -115,8 +115,12 @@ def campaign(
     if n_workers < 1:
         raise SilemError(f"workers must be 1 or more, not {n_workers}")
     pool = _Pool(plan(configs), n_workers, progress, total=len(configs))
-    with sigterm_as_interrupt():
-        pool.work()
+    try:
+        with sigterm_as_interrupt():
+            pool.work()
+    except KeyboardInterrupt:
+        message = "stopped the campaign and its workers; the same command goes on"
+        raise KeyboardInterrupt(message) from None
     if pool.failures:
         raise SilemError("; ".join(pool.failures.values()))
     return [record for config in configs if (record := runs.find(config.run_id)) is not None]

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from silem import bodies, seeding
 from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
+from silem.errors import SilemError
 from silem.imitation.features import INFO_KEY, LearnerFeatures
 from silem.imitation.silem import SILEM
 from silem.imitation.windows import episode_windows
@@ -112,7 +113,12 @@ def episodes(
 
     Yields:
         The episodes, in the order in which they end.
+
+    Raises:
+        SilemError: The body is unknown, or `n_episodes` is below 1.
     """
+    if n_episodes < 1:
+        raise SilemError(f"episodes must be 1 or more, not {n_episodes}")
     n_envs = min(MAX_ENVS, n_episodes)
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1

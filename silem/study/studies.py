@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from silem.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
 from silem.errors import SilemError, choose
+from silem.study import runs
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,26 @@ def study_configs(
     n_trials = budget.n_trials if n_trials is None else n_trials
     if not 1 <= n_trials <= len(TRIAL_SEEDS):
         raise SilemError(f"trials must be 1 to {len(TRIAL_SEEDS)}, not {n_trials}")
+    for name, wanted in only.items():
+        allowed = dict.fromkeys(getattr(cell, name) for cell in cells(study))
+        for value in wanted or ():
+            choose(name, value, allowed)
     kept = [
         cell
         for cell in cells(study)
         if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
     ]
     return [cell.config(budget, seed) for seed in TRIAL_SEEDS[:n_trials] for cell in kept]
+
+
+def status_table(study: str, budget: Budget) -> str:
+    """Return a text table of a study's cells by trials: finished, running, part or missing."""
+    seeds = TRIAL_SEEDS[: budget.n_trials]
+    lines = [f"{study}, budget {budget.name}, trials by seed:"]
+    lines.append(f"{'':34}" + "".join(f"{seed:<10}" for seed in seeds))
+    for cell in cells(study):
+        source = f" from {cell.demonstrations}" if cell.demonstrations else ""
+        states = [runs.state(cell.config(budget, seed)) for seed in seeds]
+        name = f"{cell.method} {cell.body}{source}"
+        lines.append(f"{name:34}" + "".join(f"{state:<10}" for state in states))
+    return "\n".join(lines)

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from typing import Any
+
+import pytest
+
+from silem import paper
+from silem.__main__ import config_of, parser
+from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, Budget, HyperParameters, RunConfig
+from silem.errors import SilemError
+
+create = RunConfig.create
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"body": "HC9"}, "unknown body 'HC9'; allowed: HC0, HC1"),
+        ({"method": "gail"}, "unknown method 'gail'; allowed: ppo, random, silem"),
+        ({"budget": "huge"}, "unknown budget 'huge'; allowed: tiny, quick, book, paper"),
+        ({"demonstrations": "HC7"}, "unknown demonstrations 'HC7'"),
+        ({"method": "ppo", "demonstrations": "HC0"}, "uses no demonstrations"),
+        ({"method": "silem-minus-own", "demonstrations": "HC1"}, "imitates HC0, not HC1"),
+        ({"seed": -1}, "seed must be"),
+        ({"seed": 1.0}, "seed must be"),
+        ({"seed": True}, "seed must be"),
+        ({"study": "../elsewhere"}, "study must be"),
+        ({"gama": 0.9}, "unknown hyper-parameter of silem 'gama'; allowed: learning_rate"),
+        ({"method": "ppo", "window": 3}, "unknown hyper-parameter of ppo 'window'"),
+        ({"method": "silem-minus", "n_transform_updates": 3}, "of silem-minus"),
+        ({"method": "random", "gamma": 0.9}, "of random"),
+        ({"gamma": "0.9"}, "gamma must be a number"),
+        ({"gamma": 1.01}, "gamma is out of range"),
+        ({"learning_rate": 0}, "learning_rate is out of range"),
+        ({"learning_rate": float("nan")}, "learning_rate is out of range"),
+        ({"learning_rate": float("inf")}, "learning_rate is out of range"),
+        ({"gradient_penalty": -1.0}, "gradient_penalty is out of range"),
+        ({"n_epochs": 1.5}, "n_epochs must be a positive whole number"),
+        ({"window": 0}, "window must be a positive whole number"),
+        ({"policy_hidden": 64}, "policy_hidden must be a list"),
+        ({"policy_hidden": [64, 0]}, "each size in policy_hidden"),
+        ({"minibatch_size": 100}, "minibatch_size 100 does not divide 256 steps"),
+    ],
+)
+def test_one_clear_error_for_each_bad_request(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(SilemError, match=message.replace("(", r"\(")):
+        create(**({"body": "HC0", "method": "silem"} | arguments))
+
+
+def test_defaults_and_the_supplements_combinations_are_filled_in() -> None:
+    silem = create("HC2", "silem")
+    assert (silem.study, silem.demonstrations, silem.transform) == ("halfcheetah", "HC0", "affine")
+    best = paper.best_combination("HC2", "silem", "HC0")
+    assert {name: getattr(silem.hyper, name) for name in best} == best
+    # HC0's expert demonstrates in both cells, with other best combinations.
+    own, usual = create("HC0", "silem-minus-own"), create("HC0", "silem-minus")
+    assert own.demonstrations == usual.demonstrations == "HC0"
+    assert own.hyper != usual.hyper
+    assert create("Ant3", "silem").demonstrations == "Ant0"
+    assert create("HC2", "silem", n_epochs=3).hyper.n_epochs == 3
+
+
+def test_a_budget_changes_counts_only() -> None:
+    for method in METHODS:
+        configs = [create("HC1", method, budget=name) for name in BUDGETS]
+        assert len({config.hyper for config in configs}) == 1
+    assert BUDGETS["paper"].n_iterations == paper.common()["n_iterations"]
+    assert max(budget.n_trials for budget in BUDGETS.values()) == len(TRIAL_SEEDS)
+
+
+def test_budgets_are_checked() -> None:
+    with pytest.raises(SilemError, match="n_iterations must be a positive"):
+        BUDGETS["tiny"].with_iterations(0)
+    with pytest.raises(SilemError, match="do not divide among 3"):
+        Budget("odd", 3, 256, 1, 1, 1, 1)
+
+
+def test_the_run_id_is_readable_and_depends_on_what_matters_alone() -> None:
+    config = create("HC2", "silem", budget="book", seed=3)
+    assert config.run_id.startswith("silem_HC2_from_HC0_book_s3_")
+    assert create("HC2", "silem", budget="book", seed=3).run_id == config.run_id
+    more_trials = dataclasses.replace(config.budget, n_trials=50)
+    assert dataclasses.replace(config, budget=more_trials).run_id == config.run_id
+    others = [
+        create("HC1", "silem", budget="book", seed=3),
+        create("HC2", "silem-mlp", budget="book", seed=3),
+        create("HC2", "silem", "HC1", budget="book", seed=3),
+        create("HC2", "silem", budget="quick", seed=3),
+        create("HC2", "silem", budget=BUDGETS["book"].with_iterations(7), seed=3),
+        create("HC2", "silem", budget="book", seed=4),
+        create("HC2", "silem", budget="book", seed=3, study="tuning"),
+        create("HC2", "silem", budget="book", seed=3, gamma=0.98),
+    ]
+    hashes = {other.run_id.rsplit("_", 1)[1] for other in [config, *others]}
+    assert len(hashes) == len(others) + 1
+
+
+def test_an_experts_identity_does_not_depend_on_how_discriminators_are_trained() -> None:
+    expert = create("HC0", "ppo")
+    assert not any("disc" in name or "transform" in name for name in expert.to_dict()["hyper"])
+    other = dataclasses.replace(
+        expert, hyper=dataclasses.replace(expert.hyper, gradient_penalty=9.0)
+    )
+    assert other.run_id == expert.run_id
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_configurations_survive_json_and_the_command_line(method: str) -> None:
+    used = HyperParameters.names_used_by(method)
+    changed = {"learning_rate": 1e-5, "policy_hidden": [32], "gradient_penalty": 0}
+    overrides = {name: value for name, value in changed.items() if name in used}
+    budget = BUDGETS["tiny"].with_iterations(9)
+    config = create("HC1", method, None, budget, 7, study="tuning", **overrides)
+    assert RunConfig.from_dict(config.to_dict()) == config
+    words = shlex.split(config.command.removeprefix("python -m silem"))
+    assert config_of(parser().parse_args(words)) == config
+
+
+def test_a_damaged_configuration_is_refused() -> None:
+    content = create("HC1", "silem").to_dict()
+    for bad in (
+        {key: value for key, value in content.items() if key != "body"},
+        content | {"surprise": 1},
+        content | {"budget": {"name": "tiny"}},
+        content | {"hyper": content["hyper"] | {"surprise": 1}},
+    ):
+        with pytest.raises(SilemError):
+            RunConfig.from_dict(bad)
