@@ -19,9 +19,9 @@ from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, RunConfig
 from silem.errors import SilemError, choose
 from silem.report.validation import validate
 from silem.study import runs
-from silem.study.campaign import cells, study_configs
 from silem.study.curve import COLUMNS as CURVE_COLUMNS
 from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.studies import cells, study_configs
 
 KEYS = ["body", "method", "demonstrations", "seed"]
 COLUMNS = [
@@ -171,7 +171,7 @@ def find(run_id: str) -> RunRecord:
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
     """Yield the valid records of a study at a budget, each once, published ones first."""
     folders = [paths.results_dir(study)]
-    if not BUDGETS[budget].is_evidence:
+    if not is_evidence(budget):
         folders.append(paths.runs_dir() / study)
     seen = set()
     for folder in folders:
@@ -198,7 +198,7 @@ def _is_copy(config: RunConfig) -> bool:
 def _is_planned(record: RunRecord, study: str, budget: str) -> bool:
     """Tell whether a record is of a planned configuration, and not one of other settings."""
     config = record.run_config()
-    if _is_copy(config) or (BUDGETS[budget].is_evidence and config.seed not in TRIAL_SEEDS):
+    if _is_copy(config) or (is_evidence(budget) and config.seed not in TRIAL_SEEDS):
         return False
     return any(
         cell.config(budget, config.seed).run_id == record.run_id
@@ -266,3 +266,8 @@ def describe(frame: pd.DataFrame) -> str:
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)
+
+
+def is_evidence(budget: str) -> bool:
+    """Tell whether a budget's runs are published and may decide a claim."""
+    return BUDGETS[budget].is_evidence

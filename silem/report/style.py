@@ -35,7 +35,7 @@ PAPER = "#E69F00"
 """Colour of the paper's own numbers."""
 
 WARNING = "#B3261E"
-_CHARACTERS_PER_IN = 14.5  # of the footer's small print
+_CHARACTERS_PER_IN = 16.0  # of the footer's small print
 
 _SETTINGS: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same widths on every machine

@@ -10,7 +10,7 @@ import numpy as np
 from silem import files, paths
 from silem.config import RunConfig
 from silem.study import curve
-from silem.study.campaign import study_configs
+from silem.study.studies import study_configs
 from silem.study.record import RunRecord
 
 EXPERT_RETURNS = {"HC0": 2450.0, "HC1": 1500.0, "HC2": 820.0}

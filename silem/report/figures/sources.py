@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from silem.config import BUDGETS, METHODS
+from silem.config import METHODS
 from silem.errors import choose
 from silem.report import results, style
 
@@ -40,5 +40,5 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
 def footer(figure: Figure, frame: pd.DataFrame, note: str = "") -> None:
     """Write under a figure which budget and how many runs it shows, and warn of toy budgets."""
     text = "; ".join(part for part in (results.describe(frame), note) if part)
-    evidence = BUDGETS[results.context(frame)[1]].is_evidence
+    evidence = results.is_evidence(results.context(frame)[1])
     style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)

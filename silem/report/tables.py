@@ -1,0 +1,223 @@
+"""Tables for the book: pandas Stylers of the paper's tables and of the runs' records."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas.io.formats.style import Styler
+
+from silem import bodies, paper
+from silem.bodies.describe import describe
+from silem.report import results, style
+
+DASH = "–"
+
+
+def table_1(frame: pd.DataFrame) -> Styler:
+    """Return Table 1, ours beside the paper's: f an MLP or an affine transform, on HC0.
+
+    Ours are means over trials, with the lowest and highest trial behind them.
+
+    Args:
+        frame: Runs of one study at one budget.
+    """
+    rows = []
+    for method, printed in zip(("silem-mlp", "silem"), paper.table("tab1").rows, strict=True):
+        runs = results.cell(frame, method, "HC0")
+        rows.append(
+            {
+                ("", "f"): printed["f"],
+                ("discriminator reward", "paper"): number(printed["discriminator_reward"]),
+                ("discriminator reward", "ours"): _mean_and_range(runs["disc_reward"]),
+                ("ground-truth reward", "paper"): number(printed["ground_truth_reward"]),
+                ("ground-truth reward", "ours"): _mean_and_range(runs["return_mean"]),
+                ("", "trials"): len(runs),
+            }
+        )
+    columns = pd.MultiIndex.from_tuples(list(rows[0]))
+    return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
+
+
+def body_table(names: Sequence[str] | None = None) -> Styler:
+    """Return a table of bodies: what sets each apart, masses as PyBullet has them, motors.
+
+    Args:
+        names: The bodies; None means all.
+    """
+    rows = []
+    for name in names or bodies.names():
+        body, facts = bodies.get(name), describe(name)
+        label, length_m = body.length
+        heaviest = max(facts["masses_kg"], key=facts["masses_kg"].get)
+        rows.append(
+            {
+                "body": name,
+                "what it is": body.description,
+                "what sets it apart (m)": f"{label}: {length_m:g}",
+                "mass (kg)": f"{facts['total_mass_kg']:.1f}",
+                "heaviest link (kg)": f"{heaviest} {facts['masses_kg'][heaviest]:.1f}",
+                "joints": len(facts["joints"]),
+                "motors (N m)": ", ".join(f"{k} {v:g}" for k, v in facts["actuators"].items()),
+                "features": body.observation_size,
+            }
+        )
+    return styled(pd.DataFrame(rows))
+
+
+def paper_table(key: str) -> Styler:
+    """Return one table of the paper as it is printed, with where it stands as its caption.
+
+    Args:
+        key: A key of `silem.paper.tables`, e.g. ``"tab4.1"``.
+
+    Raises:
+        SilemError: The paper has no such table.
+    """
+    printed = paper.table(key)
+    rows = []
+    for row in printed.rows:
+        cells = {_heading(name): _cell(value) for name, value in row.items() if name != "parameter"}
+        if "symbol" in row:
+            cells[_heading("symbol")] = _symbol(row["symbol"])
+            cells.pop("Silem only", None)
+            cells["applies to"] = "SILEM" if row.get("silem_only") else "all"
+        rows.append(cells)
+    caption = f"{printed.reference}. {printed.caption} {printed.note}".strip()
+    return styled(pd.DataFrame(rows), caption=caption)
+
+
+def cell_table(frame: pd.DataFrame) -> Styler:
+    """Return one row per cell of a study: trials, returns, scores, gait and wall time.
+
+    Args:
+        frame: Runs of one study at one budget.
+    """
+    names = results.body_names(frame)
+    rows = []
+    for body in names:
+        for method in style.METHODS:
+            if not results.is_planned(frame, method, body):
+                continue
+            runs = results.cell(frame, method, body)
+            rows.append(
+                {
+                    "body": body,
+                    "method": style.method(method, names[0]).label,
+                    "trials": len(runs),
+                    "return": _mean_and_range(runs["return_mean"]),
+                    "score": _mean_and_range(runs["normalised"], digits=2),
+                    "speed (m/s)": _mean(runs["speed_m_s"], 2),
+                    "upright": _mean(100 * runs["upright"], 0, " %"),
+                    "discriminator reward": _mean(runs["disc_reward"], 0),
+                    "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
+                }
+            )
+    return styled(pd.DataFrame(rows))
+
+
+def run_table(frame: pd.DataFrame) -> Styler:
+    """Return one row per run.
+
+    Args:
+        frame: Runs of one study at one budget.
+    """
+    columns = {
+        "run_id": "run",
+        "seed": "seed",
+        "return_mean": "return",
+        "return_std": "± episodes",
+        "normalised": "score",
+        "speed_m_s": "speed (m/s)",
+        "upright": "upright",
+        "disc_reward": "discriminator reward",
+        "steps_per_s": "steps/s",
+        "wall_time_s": "wall time (s)",
+        "commit": "commit",
+    }
+    table = frame[list(columns)].rename(columns=columns)
+    digits = {"score": 2, "speed (m/s)": 2, "upright": 2}
+    for name in table.columns.difference(["run", "seed", "commit"]):
+        table[name] = [number(value, digits.get(name, 0)) for value in table[name]]
+    return styled(table.assign(run=table["run"].map(_code), commit=table["commit"].str[:7]))
+
+
+def missing_table(frame: pd.DataFrame) -> Styler:
+    """Return the planned runs that are not made yet, with the command that makes each."""
+    table = results.missing_runs(frame)[["run_id", "command"]]
+    return styled(table.map(_code).rename(columns={"run_id": "run"}))
+
+
+def styled(table: pd.DataFrame, caption: str = "") -> Styler:
+    """Return a table in this project's look; the same table gives the same HTML.
+
+    Args:
+        table: Numbers already written as text.
+        caption: What it shows.
+    """
+    # The id that ties a table to its own styles comes from its content, so that it never changes
+    # by itself and two tables on one page do not style each other.
+    digest = hashlib.sha256((table.to_csv() + caption).encode()).hexdigest()
+    look = table.style.hide(axis="index").set_uuid(digest[:10])
+    look = look.set_table_attributes('class="silem-table"')
+    numeric = [name for name in table.columns if table[name].map(_is_numeric).all()]
+    look = look.set_properties(subset=numeric, **{"text-align": "right", "white-space": "nowrap"})
+    others = [name for name in table.columns if name not in numeric]
+    look = look.set_properties(subset=others, **{"text-align": "left"})
+    return look.set_caption(caption) if caption else look
+
+
+def _is_numeric(value: Any) -> bool:
+    text = re.sub(r"<[^>]*>", " ", str(value))
+    return bool(re.match(r"^[\d–−+]", text)) and not re.search(r"[A-Za-z]{3}", text)
+
+
+def _heading(name: str) -> str:
+    """Write a column's name as a heading: symbols in italics, words with a capital."""
+    if name in paper.symbols() or len(name) == 1:
+        return _symbol(name)
+    return name.replace("_", " ").capitalize()
+
+
+def _symbol(name: str) -> str:
+    """Write a symbol in HTML: ``N_Pmb`` with its index below."""
+    letter, _, index = name.partition("_")
+    return f"<i>{letter}<sub>{index}</sub></i>" if index else f"<i>{letter}</i>"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_cell(entry) for entry in value)
+    if isinstance(value, str):
+        return html.escape(value)
+    return f"{value:g}".replace("-", "−")
+
+
+def _code(text: str) -> str:
+    return f"<code>{html.escape(text)}</code>"
+
+
+def number(value: float | None, digits: int = 0) -> str:
+    """Write a number with a true minus; a dash where there is none."""
+    if value is None or np.isnan(value):
+        return DASH
+    return f"{value:,.{digits}f}".replace("-", "−")
+
+
+def _mean(values: pd.Series, digits: int, unit: str = "") -> str:
+    known = values.dropna().astype(float)
+    return number(known.mean(), digits) + unit if len(known) else DASH
+
+
+def _mean_and_range(values: pd.Series, digits: int = 0) -> str:
+    """Write a cell as its mean with minimum and maximum below; a single trial has no range."""
+    known = values.dropna().astype(float)
+    if len(known) < 2:
+        return _mean(known, digits)
+    low, high = number(known.min(), digits), number(known.max(), digits)
+    return f"{_mean(known, digits)}<br><small>{low} to {high}</small>"
