@@ -115,15 +115,23 @@ class FlatActorCritic:
         moved = first is None or first["exp_avg"].data_ptr() != self._first_moment_pointer
         if moved or self._log_std.ctypes.data != self.policy.log_std.data_ptr():
             self._adopt()
+        self.refresh_moments()
 
     def normalize(self, observations: np.ndarray) -> np.ndarray:
         """Return observations (B, O) as the networks take them."""
-        x = observations.reshape(len(observations), -1).astype(self.params.dtype)
-        extractor = self.policy.features_extractor
-        if isinstance(extractor, RunningNormalizer):
-            mean, scale = extractor.mean_and_scale(self.params.dtype)
-            x = np.clip((x - mean) / scale, -CLIP, CLIP)
+        x = observations.reshape(len(observations), -1).astype(self.params.dtype, copy=False)
+        if self._moments is None:
+            return x
+        mean, scale = self._moments
+        x = (x - mean) / scale
+        np.minimum(np.maximum(x, -CLIP, out=x), CLIP, out=x)
         return x
+
+    def refresh_moments(self) -> None:
+        """Take over the observation moments of the policy, after they changed."""
+        extractor = self.policy.features_extractor
+        has_moments = isinstance(extractor, RunningNormalizer)
+        self._moments = extractor.mean_and_scale(self.params.dtype) if has_moments else None
 
     def sample(
         self, x: np.ndarray, rng: np.random.Generator
@@ -211,6 +219,7 @@ class FlatActorCritic:
         first = self.policy.optimizer.state[parameters[0]]
         self._first_moment_pointer = first["exp_avg"].data_ptr()
         self._build_towers(views)
+        self.refresh_moments()
 
     def _adopt_moments(
         self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]

@@ -131,11 +131,7 @@ class PPO(SB3PPO):
                 actions = actions.reshape(-1, 1)
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
-            starts = self._last_episode_starts
-            rollout_buffer.add(
-                self._last_obs, actions, rewards, starts, th.from_numpy(values),
-                th.from_numpy(log_probs),
-            )  # fmt: skip
+            self._store(rollout_buffer, step, actions, rewards, values, log_probs)
             self._last_obs, self._last_episode_starts = new_obs, dones
         rollout_buffer.rewards = self._learning_rewards(rollout_buffer.rewards) + self._bootstrap
         last_values = th.from_numpy(self._values(self._last_obs))
@@ -154,7 +150,33 @@ class PPO(SB3PPO):
         if isinstance(extractor, RunningNormalizer):
             seen = self.rollout_buffer.observations
             extractor.update(seen.reshape(-1, seen.shape[-1]))
+            if self._fast is not None:
+                self._fast.refresh_moments()
         self._record_episodes()
+
+    def _store(
+        self,
+        buffer: RolloutBuffer,
+        step: int,
+        actions: np.ndarray,
+        rewards: np.ndarray,
+        values: np.ndarray,
+        log_probs: np.ndarray,
+    ) -> None:
+        """Put one step into the rollout buffer; flat arrays straight into its rows."""
+        observations, starts = self._last_obs, self._last_episode_starts
+        if self._fast is None:
+            tensors = th.from_numpy(values), th.from_numpy(log_probs)
+            buffer.add(observations, actions, rewards, starts, *tensors)
+            return
+        buffer.observations[step] = observations
+        buffer.actions[step] = actions
+        buffer.rewards[step] = rewards
+        buffer.episode_starts[step] = starts
+        buffer.values[step] = values
+        buffer.log_probs[step] = log_probs
+        buffer.pos = step + 1
+        buffer.full = buffer.pos == buffer.buffer_size
 
     def _begin_rollout(self, env: VecEnv) -> None:
         """Prepare an imitation learner's own record of the rollout."""
@@ -191,6 +213,8 @@ class PPO(SB3PPO):
         return np.clip(actions, self.action_space.low, self.action_space.high)
 
     def _note_episode_ends(self, step: int, dones: np.ndarray, infos: list[dict]) -> None:
+        if not dones.any():
+            return
         for i in np.flatnonzero(dones):
             info = infos[i]
             self._episodes.append(info.get("episode", {}))
@@ -227,17 +251,16 @@ class PPO(SB3PPO):
                 setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
             buffer.generator_ready = True
             self._inputs = fast.normalize(buffer.observations)
-        n = len(buffer.actions)
-        order = self._rng.permutation(n)
-        for start in range(0, n, self.batch_size):
-            rows = order[start : start + self.batch_size]
-            advantages = buffer.advantages[rows, 0]
+        order = self._rng.permutation(len(buffer.actions))
+        inputs, actions = self._inputs[order], buffer.actions[order]
+        log_probs, returns = buffer.log_probs[order, 0], buffer.returns[order, 0]
+        all_advantages = buffer.advantages[order, 0]
+        for start in range(0, len(order), self.batch_size):
+            rows = slice(start, start + self.batch_size)
+            advantages = all_advantages[rows]
             if self.normalize_advantage and len(advantages) > 1:
                 advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-            yield MiniBatch(
-                self._inputs[rows], buffer.actions[rows], buffer.log_probs[rows, 0],
-                advantages, buffer.returns[rows, 0],
-            )  # fmt: skip
+            yield MiniBatch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])
 
     def _log_losses(self, losses: list[Losses], clip_range: float) -> None:
         buffer = self.rollout_buffer
