@@ -66,7 +66,7 @@ BUDGETS = {
         # minutes: to see it learn
         Budget("quick", 8, _STEPS, 60, 1, 10, 20),
         # the committed evidence
-        Budget("book", 8, _STEPS, 600, _TRIALS, 100, 25),
+        Budget("book", 8, _STEPS, 400, _TRIALS, 100, 25),
         Budget(
             "paper", 8, _STEPS, _PPO["n_iterations"], _TRIALS, paper.number("n_eval_episodes"), 25
         ),
