@@ -59,10 +59,10 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
 
     Raises:
         SilemError: Demonstrations are missing whose expert is neither finished nor among
-            `configs`.
+            `configs`; or a finished run was made with others than those there are now.
     """
     tasks: dict[str, Task] = {}
-    waiting = {config.run_id for config in configs if runs.find(config.run_id) is None}
+    waiting = {config.run_id for config in configs if runs.finished(config) is None}
     for config in configs:
         if config.run_id not in waiting or config.run_id in tasks:
             continue
@@ -109,7 +109,8 @@ def campaign(
         The records, in the order of `configs`.
 
     Raises:
-        SilemError: Some runs failed; all others were finished first.
+        SilemError: As `plan`, before anything starts; or some runs failed, after all others were
+            finished.
         KeyboardInterrupt: On Ctrl-C or SIGTERM, after the workers were stopped.
     """
     if n_workers < 1:
@@ -123,7 +124,7 @@ def campaign(
         raise KeyboardInterrupt(message) from None
     if pool.failures:
         raise SilemError("; ".join(pool.failures.values()))
-    return [record for config in configs if (record := runs.find(config.run_id)) is not None]
+    return [record for config in configs if (record := runs.finished(config)) is not None]
 
 
 class _Pool:

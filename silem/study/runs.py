@@ -42,6 +42,25 @@ def find(run_id: str) -> RunRecord | None:
     return None
 
 
+def finished(config: RunConfig) -> RunRecord | None:
+    """Return a run's record if it is finished, else None.
+
+    Raises:
+        SilemError: It was made with other demonstrations than those there are now.
+    """
+    record = find(config.run_id)
+    path = demos.file_of(config.demonstrations)
+    if record is None or not config.demonstrations or not path.exists():
+        return record
+    now, then = files.sha256(path), str(record.demonstrations_sha256)
+    if now != then:
+        raise SilemError(
+            f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
+            f" {path} holds now ({now[:12]}); bring those back, or make the run anew with --force"
+        )
+    return record
+
+
 def state(config: RunConfig) -> str:
     """Return "finished", "running", "part" (there is a checkpoint) or "missing"."""
     if find(config.run_id) is not None:
@@ -72,13 +91,13 @@ def run(
             its demonstrations are missing, too few, or not those it was made with.
         KeyboardInterrupt: On Ctrl-C or SIGTERM; the message tells how to go on.
     """
-    if not force and (finished := find(config.run_id)):
-        return _with_same_demonstrations(finished, config)
+    if not force and (record := finished(config)):
+        return record
     folder = run_folder(config)
     wait_s = float("inf") if wait else 1.0
     with sigterm_as_interrupt(), files.lock(folder / LOCK, wait_s):
-        if not force and (finished := find(config.run_id)):  # by whoever held the lock
-            return _with_same_demonstrations(finished, config)
+        if not force and (record := finished(config)):  # by whoever held the lock
+            return record
         files.remove_leftovers(folder)
         if force:
             for name in (CHECKPOINT, RECORD, PROGRESS):
@@ -202,16 +221,3 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
             " --budget)"
         )
     return Demonstrations.load(config.demonstrations), files.sha256(path)
-
-
-def _with_same_demonstrations(record: RunRecord, config: RunConfig) -> RunRecord:
-    path = demos.file_of(config.demonstrations)
-    if config.demonstrations and path.exists():
-        now, then = files.sha256(path), str(record.demonstrations_sha256)
-        if now != then:
-            raise SilemError(
-                f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
-                f" {path} holds now ({now[:12]}); bring those back, or make the run anew with"
-                " --force"
-            )
-    return record

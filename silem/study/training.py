@@ -112,6 +112,7 @@ class Segments(BaseCallback):
         super().__init__()
         self._config, self._folder, self._start = config, folder, start
         self._rows = list(start.curve)
+        self._return: float | None = None
         self._began = self._shown = time.perf_counter()
         total, done = config.budget.n_iterations, start.iteration
         self._bar = tqdm(
@@ -168,16 +169,17 @@ class Segments(BaseCallback):
         stats = self._ppo.iteration_stats
         self._rows.append(curve.row(iteration, self.model.num_timesteps, stats))
         self._bar.update()
+        self._return = stats.get("return_mean", self._return)  # most iterations end no episode
         now = time.perf_counter()
         if now - self._shown < _PROGRESS_EVERY_S:
             return
         self._shown = now
-        if "return_mean" in stats:
-            self._bar.set_postfix_str(f"return {stats['return_mean']:.0f}")
+        if self._return is not None:
+            self._bar.set_postfix_str(f"return {self._return:.0f}")
         content = {
             "iteration": iteration,
             "n_iterations": self._config.budget.n_iterations,
-            "return": stats.get("return_mean"),
+            "return": self._return,
         }
         files.write_json(self._folder / PROGRESS, content)
 

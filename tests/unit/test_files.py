@@ -174,3 +174,30 @@ def test_a_lock_names_its_holder_and_dies_with_it(tmp_path: Path) -> None:
     with files.lock(path, wait_s=0):
         assert files.is_locked(path)
     assert not files.is_locked(path)
+
+
+def _write_for_ever(path: Path) -> None:
+    version = 0
+    while True:
+        version += 1
+        files.write_tensors(path, {"a": np.full(50_000, version)}, {"version": str(version)})
+
+
+def test_kill_9_in_the_middle_of_writing_leaves_a_whole_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    context = multiprocessing.get_context("fork")
+    rng = np.random.default_rng()
+    interrupted_writes = 0
+    for _ in range(20):
+        writer = context.Process(target=_write_for_ever, args=(path,))
+        writer.start()
+        while not path.exists():
+            pass
+        writer.join(rng.uniform(0.0, 0.05))
+        writer.kill()
+        writer.join()
+        arrays, metadata = files.read_tensors(path)
+        assert set(arrays["a"].tolist()) == {int(metadata["version"])}
+        interrupted_writes += len(list(tmp_path.glob(".*.tmp")))
+        files.remove_leftovers(tmp_path)
+    assert interrupted_writes > 0  # else no kill came in the middle of a write
