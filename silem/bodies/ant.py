@@ -60,6 +60,7 @@ def body(name: str, offset: float) -> Body:
         n_parts=22,
         alive=AliveRule(min_height_m=0.26, terminates=True),
         length=("offset of the links closest to the body", offset),
+        varied=("front_left_leg", "front_right_leg", "left_back_leg", "right_back_leg"),
     )
 
 

@@ -60,6 +60,7 @@ class Body:
         n_parts: Number of parts in that mean.
         alive: The alive rule.
         length: Name and value, in metres, of what sets the body apart in its family.
+        varied: Links that have that length.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Body:
     n_parts: int
     alive: AliveRule
     length: tuple[str, float]
+    varied: tuple[str, ...]
 
     def model_xml(self) -> str:
         """Return the model file's text."""

@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pybullet
 
@@ -37,7 +38,7 @@ def load(body: Body, client: int) -> int:
     return int(robot)
 
 
-def joint_infos(robot: int, client: int) -> list[tuple]:
+def joint_infos(robot: int, client: int) -> list[tuple[Any, ...]]:
     """Return PyBullet's description of every joint, in order."""
     count = pybullet.getNumJoints(robot, physicsClientId=client)
     return [pybullet.getJointInfo(robot, index, physicsClientId=client) for index in range(count)]

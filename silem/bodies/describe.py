@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ElementTree
 from typing import Any
 
 import pybullet
 
 from silem.bodies import bullet, registry
 from silem.bodies.body import Body
+from silem.bodies.shapes import shapes
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -43,7 +42,7 @@ def describe(name: str) -> dict[str, Any]:
         "name": body.name,
         "family": body.family,
         "description": body.description,
-        "lengths_m": _lengths(body),
+        "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
         "masses_kg": masses,
         "total_mass_kg": sum(masses.values()),
         "joints": joints,
@@ -65,19 +64,3 @@ def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float
     actuated = {motor.joint for motor in body.motors}
     infos = bullet.joint_infos(robot, client)
     return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
-
-
-def _lengths(body: Body) -> dict[str, float]:
-    """Read each geom's length off the model, which PyBullet takes over unchanged."""
-    lengths = {}
-    for geom in ElementTree.fromstring(body.model_xml()).iterfind("worldbody//geom"):
-        size = [float(number) for number in geom.get("size", "").split()]
-        ends = [float(number) for number in geom.get("fromto", "").split()]
-        if ends:
-            length = math.dist(ends[:3], ends[3:])
-        elif geom.get("type") == "capsule":
-            length = 2 * size[1]
-        else:
-            length = size[0]
-        lengths[geom.get("name", "")] = round(length, 6)
-    return lengths

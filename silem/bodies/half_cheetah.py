@@ -59,6 +59,7 @@ def body(name: str, torso_length_m: float) -> Body:
         n_parts=17,
         alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
         length=("length of the torso", torso_length_m),
+        varied=("torso",),
     )
 
 

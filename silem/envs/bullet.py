@@ -33,8 +33,8 @@ def spaces(body: Body) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
 
 def start_angles(generator: np.random.Generator, body: Body) -> list[float]:
     """Draw (J,) joint angles in rad for an episode's start."""
-    noise = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
-    return noise.tolist()
+    angles = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
+    return angles.tolist()
 
 
 def checked_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -122,7 +122,7 @@ class BulletVecEnv(VecEnv):
         Returns:
             (E, O) first observations, float32.
         """
-        if self._next_generators:
+        if self._next_generators or not self._simulators:
             self._rebuild()
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._actions = None
@@ -217,8 +217,10 @@ class BulletVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _rebuild(self) -> None:
+        """Build all clients afresh, with the random streams of the latest seed."""
         self.close()
-        self._generators, self._next_generators = self._next_generators, []
+        self._generators = self._next_generators or self._generators
+        self._next_generators = []
         self._simulators = [Simulator(self.body) for _ in range(self.num_envs)]
         self._tasks = [LocomotionTask(self.body, sim.limits) for sim in self._simulators]
 

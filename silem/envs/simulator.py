@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -35,10 +36,10 @@ class State(NamedTuple):
         contact: 1 for each foot that touches the floor, else 0.
     """
 
-    joints: Sequence[tuple[float, ...]]
-    rpy: tuple[float, float, float]
-    velocity: tuple[float, float, float]
-    parts: Sequence[tuple[float, float, float]]
+    joints: Sequence[_Numbers]
+    rpy: _Numbers
+    velocity: _Numbers
+    parts: Sequence[_Numbers]
     contact: list[float]
 
 
@@ -69,7 +70,7 @@ class Simulator:
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise SilemError("PyBullet has no client left; close environments that are not used")
-        self._open = True
+        self._finalizer = weakref.finalize(self, _disconnect, self.client)
         self._load()
         self._find()
         self.read = self._make_read()
@@ -86,12 +87,18 @@ class Simulator:
             self._free(joint)
         return self.read()
 
+    def place(self, link: str) -> tuple[_Numbers, _Numbers]:
+        """Return the position in m and the quaternion, in the world, of a link's own frame."""
+        index, client = self._links[link], {"physicsClientId": self.client}
+        if index == bullet.BASE:
+            position, quaternion = pybullet.getBasePositionAndOrientation(self.robot, **client)
+            return position, quaternion
+        state = pybullet.getLinkState(self.robot, index, **client)
+        return state[4], state[5]
+
     def close(self) -> None:
         """Disconnect the client; closing twice is allowed."""
-        if self._open:
-            self._open = False
-            with contextlib.suppress(pybullet.error):  # at interpreter exit it may be gone
-                pybullet.disconnect(physicsClientId=self.client)
+        self._finalizer()
 
     def _load(self) -> None:
         client = {"physicsClientId": self.client}
@@ -193,3 +200,8 @@ class Simulator:
             return quaternion, velocity, [position, *(link[0] for link in links)]
 
         return read_with_base
+
+
+def _disconnect(client: int) -> None:
+    with contextlib.suppress(pybullet.error):  # at the interpreter's exit it may be gone
+        pybullet.disconnect(physicsClientId=client)

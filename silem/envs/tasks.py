@@ -40,6 +40,8 @@ class LocomotionTask:
     Attributes:
         length: Steps since the episode began.
         upright: Whether the body was upright after the last step.
+        exploded: Whether the last step left numbers that are not finite; the observation is then
+            zero and the reward -1.
     """
 
     def __init__(self, body: Body, limits: Sequence[tuple[float, float]]) -> None:
@@ -60,7 +62,7 @@ class LocomotionTask:
     def begin(self, state: State) -> list[float]:
         """Start an episode and return its first observation (O,), not yet clipped."""
         self.length = self._n_upright = 0
-        self.upright = True
+        self.upright, self.exploded = True, False
         self._return = 0.0
         self._contact = self._no_foot
         self._start_x_m, _, self._start_height_m = self._position = state.parts[0]
@@ -85,6 +87,9 @@ class LocomotionTask:
         observation += self._contact
         self.upright = upright = self._is_upright(state)
         reward += 1.0 if upright else -1.0
+        self.exploded = not math.isfinite(reward)
+        if self.exploded:
+            observation, reward = [0.0] * len(observation), -1.0
         self._distance_m = distance_m
         self._position = state.parts[0]
         self._contact = state.contact
@@ -95,8 +100,8 @@ class LocomotionTask:
 
     @property
     def terminated(self) -> bool:
-        """Whether the last step ended the episode by the alive rule."""
-        return self._rule.terminates and not self.upright
+        """Whether the last step ended the episode: by the alive rule, or the physics exploded."""
+        return self.exploded or (self._rule.terminates and not self.upright)
 
     def summary(self) -> dict[str, float]:
         """Return the episode so far: return `r`, length `l`, `speed_m_s` and `upright`."""

@@ -1,0 +1,1 @@
+"""Measurements of speed: `python -m benchmarks.envs`, `python -m benchmarks.training`."""
