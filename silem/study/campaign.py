@@ -203,13 +203,14 @@ class _Pool:
 
     def _spawn(self, task: Task, log: Path) -> int:
         command = [sys.executable, "-m", "silem", *task.arguments]
-        environment = os.environ | {"OMP_NUM_THREADS": "1"}
+        # The folder by its full name: a worker's working directory is another one.
+        moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         with open(log, "wb") as stream:
             # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then
             # stops each worker once.
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream,
-                env=environment, cwd=paths.REPO, start_new_session=True,
+                env=os.environ | moved, cwd=paths.REPO, start_new_session=True,
             )  # fmt: skip
             self._processes[task.name] = process
             if self._stopping:
