@@ -59,7 +59,7 @@ class HyperParameters:
     n_transform_updates: int = _used_by(_TRANSFORM, _BEST["n_transform_updates"])  # N_G
     transform_lr_decay: float = _used_by(_TRANSFORM, _BEST["transform_lr_decay"])  # d
     # Left open by the paper.
-    disc_learning_rate: float = _used_by(_DISCRIMINATOR, 3e-4)
+    disc_learning_rate: float = _used_by(_DISCRIMINATOR, 1e-3)
     transform_learning_rate: float = _used_by(_TRANSFORM, 1e-4)
     disc_entropy_coef: float = _used_by(_DISCRIMINATOR, 1e-3)
     gradient_penalty: float = _used_by(_DISCRIMINATOR, 1.0)  # 0 switches it off
