@@ -10,8 +10,8 @@ import numpy as np
 from silem import files, paths
 from silem.config import RunConfig
 from silem.study import curve
-from silem.study.studies import study_configs
 from silem.study.record import RunRecord
+from silem.study.studies import study_configs
 
 EXPERT_RETURNS = {"HC0": 2450.0, "HC1": 1500.0, "HC2": 820.0}
 RANDOM_RETURNS = {"HC0": -1555.0, "HC1": -1480.0, "HC2": -1600.0}

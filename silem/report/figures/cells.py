@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from silem.report import results, style
 from silem.study.statistics import Summary
@@ -67,7 +69,8 @@ def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow
     """Draw a method's mark."""
     face, edge = ("white", look.color) if hollow else (look.color, "white")
     width = 1.6 if hollow else 0.8
-    axes.plot([x], [y], look.marker, ms=7.5, mfc=face, mec=edge, mew=width, zorder=5)
+    line: dict[str, Any] = {"color": look.color, "marker": look.marker, "ms": 7.5, "zorder": 5}
+    axes.plot([x], [y], mfc=face, mec=edge, mew=width, **line)
 
 
 def body_ticks(axes: Axes, frame: pd.DataFrame, *, with_scale: bool = False) -> None:
@@ -102,6 +105,8 @@ def room_for_counts(axes: Axes, lowest: float, highest: float) -> None:
     low, high = min(low, lowest), max(high, highest)
     span = high - low
     axes.set_ylim(low - 0.12 * span, high + 0.02 * span)
+    # A fixed number of ticks: else the layout changes them, and with them the labels' width.
+    axes.yaxis.set_major_locator(MaxNLocator(7))
 
 
 def handles(looks: Sequence[style.MethodStyle]) -> list[Line2D]:

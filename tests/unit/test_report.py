@@ -1,0 +1,478 @@
+"""Figures, tables, verdicts and tracing lines, drawn from made-up records."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import synthetic_records as synthetic
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+
+from silem import paper
+from silem.config import RunConfig
+from silem.errors import SilemError
+from silem.report import (
+    claims,
+    diagram,
+    features,
+    figures,
+    provenance,
+    results,
+    scorecard,
+    style,
+    tables,
+)
+
+FIGURES = [name for name in figures.__all__ if name != "runs_of"]
+CASES = ("whole", "partial", "single", "bad expert", "empty", "tiny")
+
+
+def make(case: str, folder: Path) -> pd.DataFrame:
+    """Write one made-up study, and load it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SILEM_DATA_DIR", str(folder))
+        if case == "whole":
+            synthetic.write_study(n_trials=3)
+        elif case == "partial":
+            few = {("silem", "HC2"): 1, ("silem-minus", "HC2"): 0, ("random", "HC1"): 0}
+            few |= {("silem-minus-own", "HC1"): 2, ("silem-mlp", "HC0"): 0, ("ppo", "HC1"): 0}
+            synthetic.write_study(n_trials=3, without=few)
+        elif case == "single":
+            synthetic.write_study(n_trials=1)
+        elif case == "bad expert":
+            patch.setitem(synthetic.EXPERT_RETURNS, "HC2", -1300.0)
+            synthetic.write_study(n_trials=1)
+        elif case == "tiny":
+            synthetic.write_study("tiny")
+        return results.load_records("halfcheetah", "tiny" if case == "tiny" else "book")
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[pd.DataFrame, Path]]:
+    folders = {case: tmp_path_factory.mktemp("study") for case in CASES}
+    return {case: (make(case, folder), folder) for case, folder in folders.items()}
+
+
+@pytest.fixture
+def frame(
+    request: pytest.FixtureRequest,
+    studies: dict[str, tuple[pd.DataFrame, Path]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[pd.DataFrame]:
+    """The study named by the test's parameter, or the whole one."""
+    table, folder = studies[getattr(request, "param", "whole")]
+    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
+    yield table
+
+
+def study(case: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("frame", [case], indirect=True)
+
+
+def texts(figure: Figure) -> list[str]:
+    return [t.get_text() for t in figure.findobj(Text) if t.get_visible() and t.get_text()]
+
+
+def footer(figure: Figure) -> str:
+    """The small print, its line breaks taken out."""
+    return figure.get_supxlabel().replace("\n", " ")
+
+
+def boxes(figure: Figure) -> list[tuple[str, mpl.transforms.Bbox]]:
+    """Every text as it is printed, with the pixels it covers."""
+    canvas = FigureCanvasAgg(figure)
+    with style.applied():
+        canvas.draw()
+    axes_axis = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+    ticks = [tick for axis in axes_axis for tick in axis.get_major_ticks()]
+    of_ticks = {id(text) for tick in ticks for text in tick.findobj(Text)}
+    # matplotlib keeps labels for ticks just outside the axis, which it does not print.
+    printed = [
+        tick.label1
+        for axis in axes_axis
+        for tick in axis.get_major_ticks()
+        if min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
+    ]
+    printed += [text for text in figure.findobj(Text) if id(text) not in of_ticks]
+    shown = [text for text in printed if text.get_visible() and text.get_text().strip()]
+    return [(text.get_text(), text.get_window_extent(canvas.get_renderer())) for text in shown]
+
+
+# ---------------------------------------------------------------- figures
+
+
+@pytest.mark.parametrize(
+    ("frame", "name"),
+    [
+        *itertools.product(("partial", "empty"), FIGURES),
+        *itertools.product(("whole", "single", "bad expert", "tiny"), ["normalised_scores"]),
+    ],
+    indirect=["frame"],
+)
+def test_texts_neither_overlap_nor_leave_the_figure(name: str, frame: pd.DataFrame) -> None:
+    figure = getattr(figures, name)(frame)
+    page = figure.bbox.padded(1)
+    printed = boxes(figure)
+    assert len(printed) > 5
+    for text, box in printed:
+        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
+        assert inside, f"{text!r} leaves the figure"
+    for (one, a), (two, b) in itertools.combinations(printed, 2):
+        width = min(a.x1, b.x1) - max(a.x0, b.x0)
+        height = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert width < 1 or height < 1, f"{one!r} overlaps {two!r}"
+
+
+def test_the_overlap_check_sees_overlaps() -> None:
+    with style.applied():
+        figure, axes = style.new_figure(2)
+        axes.text(0.5, 0.5, "one text")
+        axes.text(0.52, 0.5, "another")
+    both = [box for text, box in boxes(figure) if text in ("one text", "another")]
+    assert len(both) == 2 and both[0].overlaps(both[1])
+
+
+@pytest.mark.parametrize("name", ["normalised_scores", "affine_or_mlp"])
+def test_the_same_records_give_the_same_bytes(name: str, frame: pd.DataFrame) -> None:
+    draw = getattr(figures, name)
+    one = style.svg(draw(frame))
+    assert one == style.svg(draw(frame))
+    assert one.startswith("<svg") and one.rstrip().endswith("</svg>")
+
+
+def test_drawing_leaves_no_state_behind(frame: pd.DataFrame) -> None:
+    before = dict(mpl.rcParams)
+    style.svg(figures.experts(frame))
+    assert dict(mpl.rcParams) == before
+    assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> None:
+    shown = figures.runs_of(name, frame)
+    text = footer(getattr(figures, name)(frame))
+    assert "budget book (" in text and f"{len(shown)} runs" in text
+    assert "not evidence" not in text
+
+
+@study("tiny")
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_of_toy_budgets_warn(name: str, frame: pd.DataFrame) -> None:
+    assert footer(getattr(figures, name)(frame)).startswith("not evidence: budget tiny")
+
+
+def lines_at(axes: Axes, color: str) -> list[Line2D]:
+    return [line for line in axes.lines if line.get_color() == color]
+
+
+def test_figure_2b_draws_minimum_mean_maximum_and_every_trial(frame: pd.DataFrame) -> None:
+    left = figures.normalised_scores(frame).axes[0]
+    drawn = lines_at(left, style.METHODS["silem-minus"].color)
+    values = results.scores(frame, "silem-minus", "HC1")
+    ends = [tuple(line.get_ydata()) for line in drawn if len(set(line.get_ydata())) == 2]
+    assert (values.min(), values.max()) in ends
+    dots = [line.get_ydata() for line in drawn if line.get_marker() == "o"]
+    assert any(sorted(y) == sorted(values) for y in dots)
+    marks = [line.get_ydata()[0] for line in drawn if line.get_marker() == "s"]
+    assert values.mean() in marks
+
+
+def test_figure_2b_draws_the_bootstrap_interval(frame: pd.DataFrame) -> None:
+    right = figures.normalised_scores(frame).axes[1]
+    drawn = lines_at(right, style.METHODS["silem"].color)
+    bars = [line.get_ydata() for line in drawn if len(line.get_ydata()) == 2]
+    assert len(bars) == 3
+    values = results.scores(frame, "silem", "HC0")
+    low, high = bars[0]
+    assert values.min() - 1e-9 <= low < values.mean() < high <= values.max() + 1e-9
+
+
+@study("single")
+def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> None:
+    figure = figures.normalised_scores(frame)
+    for axes in figure.axes:
+        for method in ("silem", "silem-minus", "silem-minus-own"):
+            drawn = lines_at(axes, style.METHODS[method].color)
+            marks = [
+                line for line in axes.lines if line.get_marker() == style.METHODS[method].marker
+            ]
+            assert [mark.get_markerfacecolor() for mark in marks] == ["white"] * 3
+            assert not [line for line in drawn if len(line.get_ydata()) > 1]
+    assert texts(figure).count("n=1") == 18
+    assert "one trial" in footer(figure)
+
+
+@study("partial")
+def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) -> None:
+    words = texts(figures.normalised_scores(frame))
+    assert words.count("no run") == 2  # SILEM-minus on HC2, in both panels
+    assert words.count("no expert") == 2 * 3  # HC1's runs cannot be normalised
+    assert {"n=1", "n=3"} <= set(words)
+
+
+@study("bad expert")
+def test_an_expert_below_zero_is_no_scale(frame: pd.DataFrame) -> None:
+    words = texts(figures.normalised_scores(frame))
+    assert words.count("expert's return ≤ 0") == 2 * 3
+    assert any(word.startswith("HC2\nexpert −1,") for word in words)
+
+
+@study("empty")
+def test_figures_without_any_run_are_all_empty_slots(frame: pd.DataFrame) -> None:
+    assert texts(figures.normalised_scores(frame)).count("no run") == 18
+    assert texts(figures.experts(frame)).count("no run") == 18
+    assert texts(figures.learning_curves(frame)).count("no run") == 9
+    assert "HC1, no run" in texts(figures.transforms(frame))
+
+
+def test_experts_are_drawn_beside_the_papers_numbers(frame: pd.DataFrame) -> None:
+    panel = figures.experts(frame).axes[0]
+    amber = [line.get_ydata()[0] for line in lines_at(panel, style.PAPER)]
+    assert sorted(amber) == [-1555, 2249]
+
+
+def test_affine_or_mlp_puts_reward_against_return(frame: pd.DataFrame) -> None:
+    axes = figures.affine_or_mlp(frame).axes[0]
+    pink = lines_at(axes, style.METHODS["silem-mlp"].color)
+    ours, printed = (np.column_stack(line.get_data()) for line in pink)
+    rows = results.cell(frame, "silem-mlp", "HC0")
+    np.testing.assert_array_equal(ours, rows[["disc_reward", "return_mean"]])
+    np.testing.assert_array_equal(printed, [[466, -1979]])
+
+
+def test_learning_curves_show_the_mean_over_trials(frame: pd.DataFrame) -> None:
+    figure = figures.learning_curves(frame)
+    panel = figure.axes[0]  # return, HC0
+    (line,) = lines_at(panel, style.METHODS["ppo"].color)
+    final = results.scores(frame, "ppo", "HC0", "return_mean").mean()
+    assert line.get_ydata()[-1] == pytest.approx(final, rel=0.05)
+    assert line.get_ydata()[0] < 0 < line.get_ydata()[-1]
+    assert not lines_at(figure.axes[3], style.METHODS["ppo"].color)  # no discriminator
+
+
+def test_transforms_mark_each_feature_at_the_trials_mean(frame: pd.DataFrame) -> None:
+    left, right = figures.transforms(frame).axes
+    runs = results.cell(frame, "silem", "HC2")["run_id"]
+    mean = np.mean([results.load_transform(run)["b"] for run in runs], axis=0)
+    assert any(np.array_equal(line.get_xdata(), mean) for line in right.lines)
+    assert [label.get_text() for label in left.get_yticklabels()] == features.feature_names("HC2")
+
+
+def test_features_are_named_after_joints_and_feet() -> None:
+    names = features.feature_names("HC0")
+    assert len(names) == len(set(names)) == 26
+    assert names[3] == "forward velocity" and names[8:10] == [
+        "back thigh angle",
+        "back thigh velocity",
+    ]
+    assert len(features.feature_names("Ant3")) == 28
+
+
+def test_unknown_figures_are_refused(frame: pd.DataFrame) -> None:
+    with pytest.raises(SilemError, match="allowed: normalised_scores"):
+        figures.runs_of("figure 9", frame)
+
+
+def test_figure_1_has_every_part_and_no_overlap() -> None:
+    figure = diagram.overview()
+    words = " ".join(texts(figure)).replace("\n", " ")
+    for part in (
+        "Expert trajectories", "Policy", "Skeletal feature abstraction", "Discriminator",
+        "Sequential affine transform", "reward that trains the policy", "gradient of",
+    ):  # fmt: skip
+        assert part in words
+    for (one, a), (two, b) in itertools.combinations(boxes(figure), 2):
+        assert not a.overlaps(b), f"{one!r} overlaps {two!r}"
+
+
+def test_saved_figures_are_whole_files(tmp_path: Path) -> None:
+    style.save(diagram.overview(), tmp_path / "a.svg")
+    style.save(diagram.overview(), tmp_path / "b.svg")
+    style.save(diagram.overview(), tmp_path / "a.png")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+# ---------------------------------------------------------------- tables and tracing
+
+
+def test_table_1_puts_ours_beside_the_papers(frame: pd.DataFrame) -> None:
+    page = tables.table_1(frame).to_html()
+    for value in (466, 451, -1979, 2234):
+        assert tables.number(value) in page
+    ours = results.scores(frame, "silem", "HC0", "return_mean")
+    assert tables.number(ours.mean()) in page
+    assert f"{tables.number(ours.min())} to {tables.number(ours.max())}" in page
+
+
+@study("partial")
+def test_cell_table_has_a_row_for_every_planned_cell(frame: pd.DataFrame) -> None:
+    table = tables.cell_table(frame).data
+    assert len(table) == 16
+    row = table.query("body == 'HC2' and method == 'SILEM⁻ (HC0 expert)'").iloc[0]
+    assert (row["trials"], row["return"], row["score"]) == (0, "–", "–")
+    assert len(tables.run_table(frame).data) == len(frame)
+    assert len(tables.missing_table(frame).data) == len(frame.attrs["missing"]) > 0
+
+
+def test_paper_tables_are_printed_whole() -> None:
+    for key, printed in paper.tables().items():
+        page = re.sub(r"<[^>]*>", " ", tables.paper_table(key).to_html())
+        assert printed.label in page
+        assert tables.paper_table(key).data.shape[0] == len(printed.rows)
+    assert "256" in tables.paper_table("tab4.2").to_html()
+    assert "N<sub>Pmb</sub>" in tables.paper_table("tab4.1").to_html()
+
+
+def test_tables_do_not_style_each_other_and_never_change_by_themselves() -> None:
+    ids = [re.findall(r'id="(T_\w+)"', tables.paper_table(k).to_html())[0] for k in paper.tables()]
+    assert len(set(ids)) == len(ids)
+    assert tables.paper_table("tab4").to_html() == tables.paper_table("tab4").to_html()
+
+
+def test_body_table_shows_what_sets_bodies_apart() -> None:
+    table = tables.body_table(["HC0", "HC2"]).data.set_index("body")
+    assert table.loc["HC2", "what sets it apart (m)"].endswith("3")
+    assert float(table.loc["HC2", "mass (kg)"]) > float(table.loc["HC0", "mass (kg)"])
+
+
+@study("partial")
+def test_trace_lists_every_run_with_the_command_that_reruns_it(frame: pd.DataFrame) -> None:
+    shown = figures.runs_of("normalised_scores", frame)
+    page = provenance.trace(shown).data
+    for row in shown.itertuples():
+        assert f"<code>{row.run_id}</code><br><code>{row.command}</code>" in page
+    for run in shown.attrs["missing"]:
+        assert run["command"] in page
+    assert "random_HC0" not in page and "silem-mlp" not in page  # not in that figure
+    assert page.count("<details>") == 2 and "<details open" not in page
+    assert "commit 0123456" in page
+
+
+def test_trace_names_every_commit_and_says_where_code_was_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for seed, commit in enumerate(("a" * 40, "b" * 40)):
+        config = RunConfig.create("HC0", "ppo", budget="book", seed=seed)
+        synthetic.write_record(config, commit=commit)
+    synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=99))
+    table = results.load_records("halfcheetah", "book")
+    assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb"
+    assert "1 runs of other settings" in provenance.trace(table).data
+    table["dirty"] = [False, True]
+    assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb with uncommitted changes"
+
+
+@study("empty")
+def test_trace_of_no_runs_lists_what_to_make(frame: pd.DataFrame) -> None:
+    page = provenance.trace(frame).data
+    assert "0 runs" in page and "python -m silem run --body HC0 --method ppo" in page
+
+
+# ---------------------------------------------------------------- verdicts
+
+
+@pytest.mark.parametrize(
+    ("interval", "lower", "upper", "verdict"),
+    [
+        ((1.0, 2.0), 0.5, np.inf, claims.HOLDS),
+        ((1.0, 2.0), 1.5, np.inf, claims.UNDECIDED),
+        ((1.0, 2.0), 2.5, np.inf, claims.FAILS),
+        ((1.0, 2.0), -np.inf, 2.5, claims.HOLDS),
+        ((1.0, 2.0), -np.inf, 0.5, claims.FAILS),
+        ((1.0, 2.0), 0.9, 2.1, claims.HOLDS),
+        ((1.0, 2.0), 1.1, 1.9, claims.UNDECIDED),
+        ((1.0, 2.0), 3.0, 4.0, claims.FAILS),
+    ],
+)
+def test_verdict_rule(
+    interval: tuple[float, float], lower: float, upper: float, verdict: str
+) -> None:
+    finding = claims.Finding(1.5, interval, {"SILEM": 5}, lower, upper)
+    assert finding.verdict[0] == verdict
+    few = claims.Finding(1.5, interval, {"SILEM": 5, "expert": 2}, lower, upper)
+    assert few.verdict == (claims.UNDECIDED, "fewer than 3 trials")
+
+
+def verdict(frame: pd.DataFrame, start: str) -> str:
+    rows = scorecard.evaluate(frame).set_index("claim")
+    (name,) = [claim for claim in rows.index if claim.startswith(start)]
+    return str(rows.loc[name, "verdict"])
+
+
+def test_scorecard_reads_the_records(frame: pd.DataFrame) -> None:
+    rows = scorecard.evaluate(frame).set_index("claim")
+    random = rows.loc["Return of a random policy on HC0"]
+    assert (random["paper"], random["trials"], random["verdict"]) == (
+        -1555, "episodes 100", claims.HOLDS,
+    )  # fmt: skip
+    assert random["ours"] == pytest.approx(
+        results.cell(frame, "random", "HC0")["return_mean"].item(), abs=1e-2
+    )
+    silem = rows.loc["SILEM reaches expert level on HC2"]
+    assert silem["ours"] == pytest.approx(results.scores(frame, "silem", "HC2").mean())
+    assert silem["low"] < silem["ours"] < silem["high"]
+    assert verdict(frame, "SILEM beats SILEM⁻ on HC1") == claims.HOLDS
+    assert verdict(frame, "Without the transform imitation degrades on HC2") == claims.HOLDS
+    assert verdict(frame, "The affine transform leads to the better policy") == claims.HOLDS
+
+
+def test_scorecard_finds_claims_that_do_not_hold(frame: pd.DataFrame) -> None:
+    swapped = frame.copy()
+    swapped.attrs = frame.attrs
+    names = {"silem": "silem-minus", "silem-minus": "silem"}
+    swapped["method"] = [names.get(name, name) for name in frame["method"]]
+    assert verdict(swapped, "SILEM beats SILEM⁻ on HC1") == claims.FAILS
+    assert verdict(swapped, "SILEM reaches expert level on HC1") == claims.FAILS
+    assert verdict(swapped, "SILEM reaches expert level on HC2") == claims.FAILS
+    shifted = frame.assign(disc_reward=frame["disc_reward"] + 300)
+    shifted.attrs = frame.attrs
+    assert verdict(shifted, "Discriminator reward of SILEM") == claims.FAILS
+
+
+@pytest.mark.parametrize("frame", ["single", "empty", "tiny"], indirect=True)
+def test_scorecard_decides_nothing_on_too_little(frame: pd.DataFrame) -> None:
+    rows = scorecard.evaluate(frame)
+    decided = rows[rows["verdict"] != claims.UNDECIDED]
+    # The random policy is not trained: its episodes are enough, at a budget that is evidence.
+    allowed = {"Return of a random policy on HC0"} if len(frame) == 16 else set()
+    if results.context(frame)[1] == "tiny":
+        allowed = set()
+        assert set(rows["reason"]) == {"runs at budget tiny are no evidence"}
+    assert set(decided["claim"]) <= allowed
+
+
+def test_expert_level_counts_the_experts_own_spread(frame: pd.DataFrame) -> None:
+    """Spread among the experts alone widens the interval; dividing by their mean would not."""
+    rows = frame["method"].eq("ppo") & frame["body"].eq("HC0")
+    wide = frame.copy()
+    wide.attrs = frame.attrs
+    level = frame.loc[rows, "return_mean"].mean()
+    wide.loc[rows, "return_mean"] = level + np.array([-600.0, 0.0, 600.0])
+    name = "SILEM reaches expert level on HC0"
+    spans = [
+        (row["high"] - row["low"], row["ours"])
+        for row in (scorecard.evaluate(t).set_index("claim").loc[name] for t in (frame, wide))
+    ]
+    assert spans[1][0] > 3 * spans[0][0]
+    assert spans[1][1] == pytest.approx(spans[0][1])
+
+
+def test_scorecard_table_shows_every_claim_with_its_rule(frame: pd.DataFrame) -> None:
+    page = scorecard.table(frame).to_html()
+    for claim in claims.CLAIMS:
+        assert claim.text in page and claim.rule in page
+    assert sum(scorecard.counts(frame).values()) == len(claims.CLAIMS)
+    assert page.count("background-color") >= 2
