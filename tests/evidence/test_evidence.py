@@ -1,0 +1,133 @@
+"""The committed evidence: records, demonstrations and what the published figures rest on.
+
+Everything here reads the repository's own data folder, wherever ``SILEM_DATA_DIR`` points.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from silem import files, paths
+from silem.budgets import BUDGETS
+from silem.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
+from silem.demonstrations import MANIFEST, Demonstrations
+from silem.report import figures, results
+from silem.report.validation import validate
+from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+
+DATA = paths.REPO / "data"
+RECORDS = sorted((DATA / "results").glob(f"*/*/{RECORD}"))
+STUDIES = sorted({path.parent.parent.name for path in RECORDS})
+FIGURES = [name for name in figures.__all__ if name != "runs_of"]
+MANIFEST_PATH = DATA / "demonstrations" / MANIFEST
+MANIFEST_CONTENT = files.read_json(MANIFEST_PATH) if MANIFEST_PATH.is_file() else {}
+MAX_BYTES = 500_000  # of one committed file: evidence, not checkpoints
+
+needs_records = pytest.mark.skipif(not RECORDS, reason="no run has been published yet")
+needs_demonstrations = pytest.mark.skipif(
+    not MANIFEST_CONTENT, reason="no demonstrations have been published yet"
+)
+
+
+@pytest.fixture(autouse=True)
+def committed_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SILEM_DATA_DIR", raising=False)
+
+
+@needs_records
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
+def test_record_is_sound_and_whole(path: Path) -> None:
+    record = validate(path.parent)
+    config = record.run_config()
+    assert config.study == path.parent.parent.name
+    assert BUDGETS[config.budget.name].is_evidence
+    assert config.seed in TRIAL_SEEDS
+    assert record.status == "finished"
+    assert record.provenance["git_commit"]
+    expected = set() if config.method == "random" else {CURVE, POLICY}
+    expected |= {TRANSFORM} if config.transform == "affine" else set()
+    assert set(record.files) == expected
+    present = {file.name: file.stat().st_size for file in path.parent.iterdir()}
+    assert set(present) == expected | {RECORD}
+    assert max(present.values()) <= MAX_BYTES
+
+
+@needs_records
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
+def test_imitators_learned_from_the_published_demonstrations(path: Path) -> None:
+    record = RunRecord.load(path)
+    expert = record.config["demonstrations"]
+    if expert:
+        assert record.demonstrations_sha256 == MANIFEST_CONTENT[expert]["sha256"]
+        assert (
+            record.config["hyper"]["n_trajectories"] <= MANIFEST_CONTENT[expert]["n_trajectories"]
+        )
+    else:
+        assert record.demonstrations_sha256 is None
+
+
+@needs_records
+@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
+def test_curves_end_where_training_ended(path: Path) -> None:
+    record = RunRecord.load(path)
+    if record.config["method"] == "random":
+        pytest.skip("the random policy is not trained")
+    curve = results.load_curve(record.run_id)
+    assert 1 <= len(curve) <= 200
+    assert curve["iteration"].iloc[-1] == record.config["budget"]["n_iterations"]
+    assert curve["timesteps"].iloc[-1] == record.training["n_steps"]
+    assert curve["timesteps"].is_monotonic_increasing
+    assert curve["return_mean"].notna().any()
+    assert curve["disc_reward"].notna().any() == (record.demonstrations_sha256 is not None)
+
+
+@needs_records
+@pytest.mark.parametrize("study", STUDIES)
+def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
+    """A run of other settings or seeds in a study's folder would be evidence that nobody sees."""
+    for budget in {RunRecord.load(path).config["budget"]["name"] for path in RECORDS}:
+        assert results.load_records(study, budget).attrs["set_aside"] == []
+
+
+@needs_records
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_cell_of_a_published_figure_has_a_run(name: str) -> None:
+    frame = figures.runs_of(name, results.load_records("halfcheetah", "book"))
+    first = [run["command"] for run in frame.attrs["missing"] if run["seed"] == TRIAL_SEEDS[0]]
+    assert not first, f"{name} lacks the first trial of {len(first)} cells: {'; '.join(first)}"
+
+
+@needs_demonstrations
+def test_manifest_lists_every_file_and_no_other() -> None:
+    assert {path.stem for path in MANIFEST_PATH.parent.glob("*.npz")} == set(MANIFEST_CONTENT)
+
+
+@needs_demonstrations
+@pytest.mark.parametrize("name", MANIFEST_CONTENT)
+def test_manifest_describes_the_demonstrations(name: str) -> None:
+    entry = MANIFEST_CONTENT[name]
+    path = MANIFEST_PATH.parent / f"{name}.npz"
+    assert files.sha256(path) == entry["sha256"]
+    demonstrations = Demonstrations.load(path)
+    assert len(demonstrations.features) == entry["n_trajectories"]
+    assert demonstrations.n_features == entry["n_features"]
+    assert demonstrations.body == entry["body"] == name
+    assert demonstrations.expert_run_id == entry["expert_run_id"]
+    assert np.mean(demonstrations.returns) == pytest.approx(entry["return_mean"])
+    assert np.std(demonstrations.returns) == pytest.approx(entry["return_std"])
+
+
+@needs_demonstrations
+@pytest.mark.parametrize("name", MANIFEST_CONTENT)
+def test_demonstrations_come_from_a_published_expert(name: str) -> None:
+    entry = MANIFEST_CONTENT[name]
+    record = results.find(entry["expert_run_id"])
+    config = record.run_config()
+    assert (config.method, config.body, config.seed) == ("ppo", name, DEMONSTRATOR_SEED)
+    # The same stochastic policy: its demonstrations are worth what its evaluation was.
+    spread = max(entry["return_std"], record.evaluation["return_std"])
+    error = spread * (1 / entry["n_trajectories"] + 1 / record.evaluation["n_episodes"]) ** 0.5
+    assert abs(entry["return_mean"] - record.evaluation["return_mean"]) <= 5 * error
