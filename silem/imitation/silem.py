@@ -11,13 +11,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional as F
 
 from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 from silem.imitation.discriminator import Discriminator, discriminator_loss
 from silem.imitation.features import LearnerFeatures
 from silem.imitation.transforms import TRANSFORMS, AffineTransform, make_transform
 from silem.imitation.windows import WindowTracker, episode_windows
 from silem.learning.ppo import PPO
-from silem.errors import choose
 
 
 class SILEM(PPO):
@@ -42,7 +41,8 @@ class SILEM(PPO):
         transform_learning_rate: Adam's rate for T at the first iteration.
         disc_hidden: Hidden units of D.
         disc_entropy_coef: Weight of D's entropy bonus.
-        gradient_penalty: Weight of the penalty on D's gradient; 0 is the paper's loss.
+        gradient_penalty: Weight of the penalty on D's gradient. The paper has none (0), and
+            then D wins outright on a body that cannot match the expert: see "Deviations".
         **kwargs: Everything :class:`PPO` takes.
 
     Raises:
@@ -67,11 +67,11 @@ class SILEM(PPO):
         n_disc_updates: int = 10,
         n_transform_updates: int = 5,
         transform_lr_decay: float = 1.0,
-        disc_learning_rate: float = 3e-4,
-        transform_learning_rate: float = 1e-3,
+        disc_learning_rate: float = 1e-3,
+        transform_learning_rate: float = 1e-4,
         disc_hidden: Sequence[int] = (128, 128, 128),
         disc_entropy_coef: float = 1e-3,
-        gradient_penalty: float = 0.0,
+        gradient_penalty: float = 1.0,
         **kwargs: Any,
     ) -> None:
         self.transform = choose("transform", transform, TRANSFORMS)
