@@ -9,12 +9,23 @@ therefore calls :func:`parameters`.
 from __future__ import annotations
 
 import ast
+import base64
+import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import pandas as pd
+from IPython.display import HTML, SVG, display
+from matplotlib.figure import Figure
+from myst_nb import glue
+
 from silem.errors import SilemError
+from silem.report import results, style
+from silem.report.rendering import Clip, encode_mp4, encode_png, rollout, side_by_side
+from silem.study.policies import load_policy
+from silem.study.record import POLICY
 
 _PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 
@@ -114,3 +125,92 @@ def _describe(allowed: type | Sequence[str]) -> str:
     if isinstance(allowed, type):
         return "a finite float" if allowed is float else f"of type {allowed.__name__}"
     return f"one of {', '.join(allowed)}"
+
+
+def show(figure: Figure) -> None:
+    """Display a figure as vector graphics; the same figure always gives the same bytes.
+
+    The runs it was drawn from follow in a cell of their own, by `silem.report.provenance.trace`:
+    a captioned cell may have one output only.
+    """
+    _display(SVG(style.svg(figure)))  # type: ignore[no-untyped-call]
+
+
+def play(clip: Clip, caption: str) -> None:
+    """Embed a clip as a video that needs neither a network nor a file beside the page.
+
+    Args:
+        clip: The clip; it plays at the speed of the simulation.
+        caption: What it shows, as plain text.
+    """
+    height, width = clip.frames.shape[1:3]
+    poster = base64.b64encode(encode_png(clip.frames[0])).decode()
+    video = base64.b64encode(encode_mp4(clip)).decode()
+    text = html.escape(caption)
+    page = (
+        '<figure class="silem-clip">'
+        f'<video controls loop muted playsinline width="{width}" height="{height}"'
+        f' style="max-width: 100%; height: auto" aria-label="{text}"'
+        f' poster="data:image/png;base64,{poster}">'
+        f'<source type="video/mp4" src="data:video/mp4;base64,{video}"></video>'
+        f"<figcaption>{text}</figcaption></figure>"
+    )
+    _display_html(page)
+
+
+def play_first_trials(
+    records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
+) -> None:
+    """Film the first trial of each method on a body, side by side, from the saved policies.
+
+    The first trial rather than the best one: which it is was fixed before any run was made. What
+    cannot be filmed, because no run is there yet, is named instead.
+
+    Args:
+        records: Runs of one study at one budget, from `silem.report.results.load_records`.
+        methods: The methods, from left to right.
+        body: The body.
+        duration_s: Simulated time to film, seconds.
+    """
+    clips = {}
+    for method in methods:
+        label = style.method(method, results.body_names(records)[0]).label
+        trials = results.cell(records, method, body).sort_values("seed")["run_id"]
+        record = results.find(trials.iloc[0]) if len(trials) else None
+        if record is None or POLICY not in record.files:
+            text = f"No policy of {label} on {body} has been published at this budget yet."
+            _display_html(f"<p><em>{html.escape(text)}</em></p>")
+            continue
+        clips[label] = rollout(body, load_policy(record), duration_s=duration_s)
+    if clips:
+        labels = list(clips)
+        joined = side_by_side(list(clips.values()), labels)
+        play(joined, f"{body}, first trial, in real time: {' | '.join(labels)}")
+
+
+def _display(item: object) -> None:
+    display(item)  # type: ignore[no-untyped-call]
+
+
+def _display_html(text: str) -> None:
+    _display(HTML(text))  # type: ignore[no-untyped-call]
+
+
+def say(**values: float | str | None) -> None:
+    """Make numbers available to the page's sentences, through ``{glue:text}`name` ``.
+
+    Args:
+        **values: Numbers or texts by the name that the sentences use. None and NaN, for what no
+            run has shown yet, become a dash.
+    """
+    for name, value in values.items():
+        glue(name, value if isinstance(value, str) else _in_words(value), display=False)
+
+
+def _in_words(value: float | None) -> str:
+    """Write a number with as many digits as a sentence needs, and a true minus."""
+    if value is None or math.isnan(value):
+        return "–"
+    if abs(value) >= 100 or value == int(value):
+        return style.number(value)
+    return f"{value:.2f}".replace("-", "−")

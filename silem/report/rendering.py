@@ -18,18 +18,22 @@ from typing import Any
 import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
 from matplotlib import font_manager
+from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 import silem
-from silem import files, seeding
-from silem.envs.simulator import STEP_S
+from silem import bodies, files, seeding
+from silem.envs.rendering import Camera
+from silem.envs.simulator import STEP_S, Simulator
 from silem.errors import SilemError
+from silem.report import style
 from silem.study.evaluate import Policy, random_policy
 
 STEPS_PER_FRAME = 2
 """Control steps from one frame to the next: 30 frames per simulated second."""
 
+_STILL_WIDTH, _STILL_HEIGHT = 480, 300  # pixels, in a gallery
 _INK = (32, 32, 32)
 _LABEL_SIZE = 0.085  # of the picture's height
 
@@ -52,21 +56,54 @@ class Clip:
         return len(self.frames) / self.frames_per_s
 
 
-def still(body: str) -> np.ndarray:
-    """Render a body in its default pose, as in Figures 2a and 2c.
+def still(
+    body: str, width: int = 640, height: int = 480, span_m: float | None = None
+) -> np.ndarray:
+    """Render a body at rest: every joint at zero, or at its limit nearest to zero.
 
     Args:
         body: A registered body's name.
+        width: Of the picture, pixels.
+        height: Of the picture, pixels.
+        span_m: Width of what is seen at the body, metres; None lets the body fit.
 
     Returns:
         The picture (H, W, 3).
+
+    Raises:
+        SilemError: The body is unknown, or the size or the span is not positive.
     """
-    env = silem.make_vec(body, n_envs=1)
+    simulator = Simulator(bodies.get(body))
     try:
-        env.reset()
-        return env.render()
+        simulator.reset([min(max(0.0, low), high) for low, high in simulator.limits])
+        return Camera(simulator, width, height, span_m).picture()
     finally:
-        env.close()
+        simulator.close()
+
+
+def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> Figure:
+    """Draw bodies at rest to one scale, as in Figures 2a and 2c.
+
+    Args:
+        names: Registered bodies.
+        span_m: Width of what is seen at each body, metres.
+        n_columns: Pictures per row.
+    """
+    n_rows = -(-len(names) // n_columns)
+    height_in = style.WIDTH_IN / n_columns * _STILL_HEIGHT / _STILL_WIDTH + 0.3
+    with style.applied():
+        figure, grid = style.new_figure(
+            n_rows * height_in, nrows=n_rows, ncols=n_columns, squeeze=False
+        )
+        for axes in grid.flat[len(names) :]:
+            axes.set_axis_off()
+        for axes, name in zip(grid.flat, names, strict=False):
+            axes.set(xticks=[], yticks=[])
+            axes.spines[:].set(visible=True, color=style.FAINT)
+            axes.imshow(still(name, _STILL_WIDTH, _STILL_HEIGHT, span_m), interpolation="none")
+            _, length_m = bodies.get(name).length
+            axes.set_title(f"{name}: {length_m:g} m", pad=3)
+    return figure
 
 
 def strip(clip: Clip, n_frames: int = 6) -> np.ndarray:

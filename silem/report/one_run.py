@@ -1,0 +1,196 @@
+"""Figures of one thing at a time: an expert's trajectory, one run's curve, one run's transform.
+
+They belong to the notebooks that make a run; the figures of a whole study are in
+`silem.report.figures`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
+
+from silem import files
+from silem.demonstrations import Demonstrations
+from silem.envs.simulator import STEP_S
+from silem.errors import SilemError
+from silem.report import style
+from silem.report.features import feature_names
+from silem.study.record import CURVE, TRANSFORM, RunRecord
+
+# Curve columns by panel: title, and each line's label.
+_PANELS: tuple[tuple[str, dict[str, str]], ...] = (
+    ("return of an episode", {"return_mean": ""}),
+    ("forward speed (m/s)", {"speed_m_s": ""}),
+    ("discriminator reward of an episode", {"disc_reward": ""}),
+    (
+        "discriminator accuracy",
+        {"disc_acc_expert": "on expert windows", "disc_acc_learner": "on learner windows"},
+    ),
+    ("policy's standard deviation", {"policy_std": ""}),
+)
+_ALWAYS = ("return of an episode", "forward speed (m/s)")
+
+
+def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float = 2.0) -> Figure:
+    """Draw the start of one demonstrated trajectory, every skeletal feature over time.
+
+    Args:
+        demonstrations: Of a body whose features are its observation.
+        index: Which trajectory.
+        duration_s: How much of it, seconds.
+
+    Raises:
+        SilemError: There is no such trajectory, or its features are not the body's.
+    """
+    names = feature_names(demonstrations.body)
+    if not 0 <= index < len(demonstrations.features):
+        raise SilemError(f"trajectory {index} of {len(demonstrations.features)}")
+    n_states = max(2, round(duration_s / STEP_S))
+    values = demonstrations.features[index][:n_states]
+    if values.shape[1] != len(names):
+        raise SilemError(f"{values.shape[1]} features, {demonstrations.body} has {len(names)}")
+    groups = _groups(names)
+    with style.applied():
+        heights = [3.2, 3, 3, 0.34 * len(groups["contact"])]
+        figure, all_axes = style.new_figure(
+            7.2, nrows=4, sharex=True, gridspec_kw={"height_ratios": heights}
+        )
+        time_s = np.arange(len(values)) * STEP_S
+        for axes, (group, columns) in zip(all_axes[:3], list(groups.items())[:3], strict=True):
+            _draw_lines(axes, time_s, values[:, columns], [names[i] for i in columns], group)
+        _draw_contacts(all_axes[3], time_s, values, names, groups["contact"])
+        all_axes[3].set_xlabel("time (s)")
+        figure.align_ylabels(all_axes)
+    return figure
+
+
+def curve(record: RunRecord) -> Figure:
+    """Draw the learning curve of one run, one panel per quantity that it knows.
+
+    Raises:
+        SilemError: The run has no curve, or its file is damaged.
+    """
+    table = pd.read_csv(record.file(CURVE))
+    panels = [
+        (title, lines)
+        for title, lines in _PANELS
+        if title in _ALWAYS or table[list(lines)].notna().to_numpy().any()
+    ]
+    with style.applied():
+        n_columns = 3 if len(panels) == 3 else 2
+        n_rows = -(-len(panels) // n_columns)
+        figure, grid = style.new_figure(
+            2.0 * n_rows + 0.4, nrows=n_rows, ncols=n_columns, sharex=True, squeeze=False
+        )
+        for axes, (title, lines) in zip(grid.flat, panels, strict=False):
+            axes.set_title(title)
+            _draw_curve(axes, table, lines)
+        for axes in grid.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes in grid.flat[len(panels) - n_columns : len(panels)]:
+            axes.set_xlabel("timesteps")
+            axes.tick_params(labelbottom=True)
+        style.footer(figure, record.run_id)
+    return figure
+
+
+def transform(record: RunRecord) -> Figure:
+    """Draw the affine transform that one run learned, feature by feature.
+
+    Raises:
+        SilemError: The run learned no affine transform, or its file is damaged.
+    """
+    arrays = files.read_npz(record.file(TRANSFORM))
+    names = feature_names(record.config["body"])
+    rows = np.arange(len(names))
+    with style.applied():
+        figure, (left, right) = style.new_figure(0.21 * len(names) + 1.0, ncols=2, sharey=True)
+        left.set(title="A, diagonal (1: unchanged)", ylim=(len(names) - 0.4, -0.6))
+        right.set(title="b, offset (0: unchanged)")
+        left.set_yticks(rows, names)
+        for axes, key, neutral in ((left, "A", 1.0), (right, "b", 0.0)):
+            color = style.method("silem").color
+            axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
+            axes.hlines(rows, neutral, arrays[key], color=color, lw=1.6)
+            axes.plot(arrays[key], rows, "o", ms=4.5, color=color)
+            axes.tick_params(axis="y", length=0)
+            axes.ticklabel_format(axis="x", useOffset=False)
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+        style.footer(figure, record.run_id)
+    return figure
+
+
+def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
+    colors = style.INK, style.method("silem").color
+    for color, (column, label) in zip(colors, lines.items(), strict=False):
+        known = table[["timesteps", column]].dropna()
+        if known.empty:
+            axes.text(
+                0.5, 0.5, "no episode ended during training", transform=axes.transAxes,
+                ha="center", va="center", color=style.MUTED,
+            )  # fmt: skip
+            axes.set_yticks([])
+            continue
+        marker = "o" if len(known) < 12 else ""
+        axes.plot(
+            known["timesteps"], known[column], marker=marker, ms=3.5, color=color, label=label
+        )
+        axes.ticklabel_format(axis="y", useOffset=False)
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+    if any(lines.values()):
+        axes.legend()
+    axes.set_xlim(0, table["timesteps"].iloc[-1] * 1.03)
+    axes.xaxis.set_major_formatter(EngFormatter())
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+
+
+def _groups(names: Sequence[str]) -> dict[str, list[int]]:
+    """Sort the features' columns into the panels of `trajectory`, keyed by their axis labels."""
+    ends = {"contact": " contact", "angle": " angle", "velocity": " velocity"}
+    joints = {name.removesuffix(" angle") for name in names if name.endswith(" angle")}
+    groups: dict[str, list[int]] = {"torso": [], "angle": [], "velocity": [], "contact": []}
+    for index, name in enumerate(names):
+        kind = next((k for k, end in ends.items() if name.endswith(end)), "torso")
+        if kind == "velocity" and name.removesuffix(" velocity") not in joints:
+            kind = "torso"
+        groups[kind].append(index)
+    return groups
+
+
+_GROUP_LABELS = {
+    "torso": "torso\n(m; 0.3 × m/s; rad)",
+    "angle": "joint angle\n(−1, 1: its limits)",
+    "velocity": "joint velocity\n(0.1 × rad/s)",
+}
+
+
+def _draw_lines(
+    axes: Axes, time_s: np.ndarray, values: np.ndarray, names: Sequence[str], group: str
+) -> None:
+    colors = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]
+    for column, name in enumerate(names):
+        label = name.removesuffix(f" {group}")
+        axes.plot(time_s, values[:, column], lw=1.2, color=colors[column % 10], label=label)
+    axes.set_ylabel(_GROUP_LABELS[group])
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, handlelength=1.2)
+
+
+def _draw_contacts(
+    axes: Axes, time_s: np.ndarray, values: np.ndarray, names: Sequence[str], columns: list[int]
+) -> None:
+    """Draw a bar for every stretch of time in which a part touches the floor."""
+    for row, column in enumerate(columns):
+        touching = np.flatnonzero(values[:, column] > 0.5)
+        bars = [(time_s[i] - STEP_S / 2, STEP_S) for i in touching]
+        axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK)
+    labels = [names[column].removesuffix(" contact") for column in columns]
+    axes.set_yticks(range(len(columns)), labels)
+    axes.set_ylim(len(columns) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylabel("floor contact")
