@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, Body, Motor
+from silem.bodies.body import AliveRule, Body, Motor, Part
 
 LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
 
@@ -46,16 +46,16 @@ def body(name: str, offset: float) -> Body:
         ),
         feet=_FEET,
         # 22 parts: the torso, the floor, and per leg the inner link, the hip's massless link,
-        # aux, the ankle's massless link and the foot. Aux's centre lies halfway between hip and
-        # ankle, so aux + ankle = 3 aux - hip, and the hips drop out. The inner links of opposite
-        # legs are opposite around the torso, so two of them stand for all four. (The torso itself
+        # aux, the ankle's massless link and the foot. Inner links and hips are opposite in pairs
+        # around the torso and stand for it, eight times; aux's centre lies halfway between hip
+        # and ankle, so each aux and ankle make 1.5 ankles and, through the hip, half a torso.
+        # A foot's frame is its ankle's; an inner link's frame is the torso's. (The torso itself
         # would not do: the positions PyBullet reports for links trail the base's by a substep.)
-        part_weights=(
-            ("torso", 1.0),
-            ("front_left_leg", 2.0),
-            ("left_back_leg", 2.0),
-            *((f"aux_{leg}", 3.0) for leg in _LEG_SIGNS),
-            *((foot, 1.0) for foot in _FEET),
+        parts=(
+            Part("torso", 1),
+            Part("front_left_leg", 8 + 4 * 0.5, "origin"),
+            *(Part(foot, 1.5, "origin") for foot in _FEET),
+            *(Part(foot, 1) for foot in _FEET),
         ),
         n_parts=22,
         alive=AliveRule(min_height_m=0.26, terminates=True),

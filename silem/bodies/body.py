@@ -24,6 +24,21 @@ class Motor:
 
 
 @dataclass(frozen=True)
+class Part:
+    """A point of a body whose position enters the mean that measures progress.
+
+    Attributes:
+        link: The link.
+        weight: How many parts of the model the point stands for.
+        point: The link's centre of mass, or the origin of its frame, which is its joint.
+    """
+
+    link: str
+    weight: float
+    point: Literal["center", "origin"] = "center"
+
+
+@dataclass(frozen=True)
 class AliveRule:
     """When a body counts as upright: it earns +1 per step upright and -1 otherwise.
 
@@ -54,9 +69,9 @@ class Body:
         root_joints: Joints along which a planar root moves (x, z, pitch); empty if it floats.
         motors: The actuators, in the order of the action and of the joints in the model.
         feet: Links whose floor contact is observed, in the order of the observation.
-        part_weights: How often each link counts in the mean position that is the measure of
-            progress. The mean runs over all links of the model and the floor; links that
-            coincide, or that follow from others, are counted with those (see `n_parts`).
+        parts: The points in the mean position that measures progress, the root first. The mean
+            runs over all links of the model and the floor; a point stands for every link that
+            coincides with it or whose position follows from it.
         n_parts: Number of parts in that mean.
         alive: The alive rule.
         length: Name and value, in metres, of what sets the body apart in its family.
@@ -72,7 +87,7 @@ class Body:
     root_joints: tuple[str, ...]
     motors: tuple[Motor, ...]
     feet: tuple[str, ...]
-    part_weights: tuple[tuple[str, float], ...]
+    parts: tuple[Part, ...]
     n_parts: int
     alive: AliveRule
     length: tuple[str, float]

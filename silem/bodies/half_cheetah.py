@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, Body, Motor
+from silem.bodies.body import AliveRule, Body, Motor, Part
 
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 
@@ -55,7 +55,7 @@ def body(name: str, torso_length_m: float) -> Body:
         # 17 parts: PyBullet splits each limb into a massless link and the limb proper, which
         # coincide, and the torso into four; the last part is the floor. The thighs hang on the
         # torso's ends, opposite around its centre, so the torso stands for them.
-        part_weights=(("torso", 4.0 + 2 * 2.0), *((limb, 2.0) for limb in _LOWER_LIMBS)),
+        parts=(Part("torso", 4 + 2 * 2), *(Part(limb, 2) for limb in _LOWER_LIMBS)),
         n_parts=17,
         alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
         length=("length of the torso", torso_length_m),

@@ -37,8 +37,8 @@ def start_angles(generator: np.random.Generator, body: Body) -> list[float]:
     return angles.tolist()
 
 
-def checked_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return actions as a float32 array of the given shape.
+def checked_actions(actions: Any, shape: tuple[int, ...]) -> list[list[float]]:
+    """Return actions of the given shape as rows of A numbers.
 
     Raises:
         SilemError: If the shape is another, or a number is not finite.
@@ -49,9 +49,10 @@ def checked_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
         raise SilemError(f"actions are not numbers: {error}") from error
     if array.shape != shape:
         raise SilemError(f"actions of shape {array.shape}; expected {shape}")
-    if not math.isfinite(array.sum(dtype=np.float64)):
+    rows: list[list[float]] = array.reshape(-1, shape[-1]).tolist()
+    if not math.isfinite(sum(map(sum, rows))):
         raise SilemError("actions contain NaN or infinity")
-    return array
+    return rows
 
 
 class BulletVecEnv(VecEnv):
@@ -91,12 +92,11 @@ class BulletVecEnv(VecEnv):
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
         self.render_mode = render_mode
-        self._torques = np.array([motor.torque_n_m for motor in self.body.motors])
         self.max_steps = int(max_steps)
         self._simulators: list[Simulator] = []
         self._generators: list[np.random.Generator] = []
         self._camera: Camera | None = None
-        self._actions: np.ndarray | None = None
+        self._actions: list[list[float]] | None = None
         self._built_at = time.perf_counter()
         super().__init__(int(n_envs), *spaces(self.body))
         self.seed(seed)
@@ -148,9 +148,8 @@ class BulletVecEnv(VecEnv):
         if not self._simulators or self._actions is None:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
-        torques = (actions.clip(-1, 1) * self._torques).tolist()
-        moves = zip(self._tasks, self._simulators, actions.tolist(), torques, strict=True)
-        results = [task.step(action, sim.step(torque)) for task, sim, action, torque in moves]
+        moves = zip(self._tasks, self._simulators, actions, strict=True)
+        results = [task.step(action, simulator.step(action)) for task, simulator, action in moves]
         observations = as_observations([observation for observation, _ in results])
         rewards = np.array([reward for _, reward in results], dtype=np.float32)
         dones = [task.terminated or task.length >= self.max_steps for task in self._tasks]

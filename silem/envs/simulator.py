@@ -21,6 +21,8 @@ _GRAVITY_M_S2 = 9.8
 _CONTACT_ERP = 0.9
 _FLOOR_FRICTION = 0.8
 _FLOOR_RESTITUTION = 0.5
+_ANY_LINK = -2  # in PyBullet's filter of contacts
+_FIELDS = {"center": 0, "origin": 4}  # of what PyBullet tells of a link
 
 _Numbers: TypeAlias = tuple[float, ...]
 
@@ -32,7 +34,7 @@ class State(NamedTuple):
         joints: Per motor its hinge's angle in rad and velocity in rad/s (and PyBullet's rest).
         rpy: The root's roll, pitch and yaw in rad.
         velocity: The root's velocity in the world in m/s.
-        parts: Position in the world in m of each of the body's weighted parts, the root first.
+        parts: Position in the world in m of each of the body's parts, the root first.
         contact: 1 for each foot that touches the floor, else 0.
     """
 
@@ -57,7 +59,8 @@ class Simulator:
         joints: PyBullet's numbers of the actuated joints, in the order of the action.
         limits: Lower and upper limit of each of those joints in rad.
         read: `read()` returns the present state.
-        step: `step(torques)` applies (J,) torques in N m for one control step, then reads.
+        step: `step(action)` applies (J,) shares of the motors' torques, clipped to -1..1, for one
+            control step, then reads.
     """
 
     def __init__(self, body: Body) -> None:
@@ -151,16 +154,24 @@ class Simulator:
         client, robot, joints, read = self.client, self.robot, self.joints, self.read
         control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
         mode = pybullet.TORQUE_CONTROL
+        strengths = [motor.torque_n_m for motor in self.body.motors]
 
-        def step(torques: Sequence[float]) -> State:
-            control(robot, joints, mode, forces=torques, physicsClientId=client)
+        def step(action: Sequence[float]) -> State:
+            forces = [
+                strength * (-1.0 if share < -1.0 else 1.0 if share > 1.0 else share)
+                for strength, share in zip(strengths, action)  # noqa: B905  lengths are checked
+            ]
+            control(robot, joints, mode, forces=forces, physicsClientId=client)
             simulate(client)
             return read()
 
         return step
 
     def _make_read(self) -> Callable[[], State]:
-        """Return the function that reads the state; local names keep its overhead low."""
+        """Return the function that reads the state.
+
+        It runs after every step: local names and positional arguments keep its overhead low.
+        """
         client, robot, floor, joints = self.client, self.robot, self.floor, self.joints
         joint_states, contact_points = pybullet.getJointStates, pybullet.getContactPoints
         euler = pybullet.getEulerFromQuaternion
@@ -169,12 +180,12 @@ class Simulator:
         no_contact = [0.0] * len(self.body.feet)
 
         def read() -> State:
-            hinges = joint_states(robot, joints, client)
             quaternion, velocity, parts = read_links()
             contact = no_contact.copy()
-            for point in contact_points(robot, floor, physicsClientId=client):
+            for point in contact_points(robot, floor, _ANY_LINK, _ANY_LINK, client):
                 if (foot := foot_of_link.get(point[3])) is not None:
                     contact[foot] = 1.0
+            hinges = joint_states(robot, joints, client)
             return State(hinges, euler(quaternion), velocity, parts, contact)
 
         return read
@@ -182,24 +193,25 @@ class Simulator:
     def _make_read_links(self) -> Callable[[], tuple[_Numbers, _Numbers, list[_Numbers]]]:
         """Return the function that reads the root's quaternion and velocity, and the parts."""
         client, robot, link_states = self.client, self.robot, pybullet.getLinkStates
-        parts = [self._links[name] for name, _ in self.body.part_weights]
-        if parts[0] != bullet.BASE:
-
-            def read() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
-                links = link_states(robot, parts, computeLinkVelocity=1, physicsClientId=client)
-                return links[0][1], links[0][6], [link[0] for link in links]
-
-            return read
         base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
-        others = parts[1:]
+        root = self._links[self.body.root]
+        has_base = root == bullet.BASE
+        parts = self.body.parts[has_base:]
+        links = list(dict.fromkeys(self._links[part.link] for part in parts))
+        picks = [(links.index(self._links[part.link]), _FIELDS[part.point]) for part in parts]
 
-        def read_with_base() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
+        def read_from_link() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
+            states = link_states(robot, links, True, False, client)
+            positions = [states[link][field] for link, field in picks]
+            return states[0][1], states[0][6], positions
+
+        def read_from_base() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
+            states = link_states(robot, links, False, False, client)
             position, quaternion = base_pose(robot, client)
-            velocity, _ = base_velocity(robot, client)
-            links = link_states(robot, others, physicsClientId=client)
-            return quaternion, velocity, [position, *(link[0] for link in links)]
+            positions = [position, *[states[link][field] for link, field in picks]]
+            return quaternion, base_velocity(robot, client)[0], positions
 
-        return read_with_base
+        return read_from_base if has_base else read_from_link
 
 
 def _disconnect(client: int) -> None:

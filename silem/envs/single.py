@@ -39,7 +39,6 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             choose("render mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.observation_space, self.action_space = spaces(self.body)
-        self._torques = np.array([motor.torque_n_m for motor in self.body.motors])
         self._size = (width, height)
         self._simulator: Simulator | None = None
         self._camera: Camera | None = None
@@ -73,11 +72,10 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the action has another shape or is not finite, or before `reset`.
         """
-        action = checked_actions(action, self._torques.shape)
+        (row,) = checked_actions(action, (self.body.action_size,))
         if self._simulator is None:
             raise SilemError("step before reset")
-        state = self._simulator.step((action.clip(-1, 1) * self._torques).tolist())
-        observation, reward = self._task.step(action.tolist(), state)
+        observation, reward = self._task.step(row, self._simulator.step(row))
         return as_observations(observation), reward, self._task.terminated, False, {}
 
     def render(self) -> np.ndarray | None:

@@ -53,7 +53,7 @@ class LocomotionTask:
         """
         self._rule = body.alive
         self._no_contact = [body.feet.index(name) for name in body.alive.no_contact]
-        self._weights = [weight / body.n_parts for _, weight in body.part_weights]
+        self._weights = [part.weight / body.n_parts for part in body.parts]
         scales = [2 / (upper - lower) for lower, upper in limits]
         self._ranges = [(s, -lower * s - 1) for s, (lower, _) in zip(scales, limits, strict=True)]
         self._at_rest = [0.0] * len(limits)
