@@ -14,12 +14,19 @@ from matplotlib.figure import Figure
 
 from silem.errors import SilemError
 from silem.paths import REPO
-from silem.report import diagram, style
+from silem.report import diagram, figures, results, style
 
 FOLDER = REPO / "book" / "figures"
 
+
+def halfcheetah() -> Figure:
+    """Draw Figure 2b from the committed runs of the `book` budget."""
+    return figures.normalised_scores(results.load_records("halfcheetah", "book"))
+
+
 FIGURES: dict[str, Callable[[], Figure]] = {
     "method.svg": diagram.overview,
+    "halfcheetah.svg": halfcheetah,
 }
 """File name of each figure, and the function that draws it."""
 

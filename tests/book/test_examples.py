@@ -1,0 +1,65 @@
+"""What README and book tell a reader to type works as they say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from silem import __main__ as command_line
+from silem.paths import REPO
+
+PAGES = ["README.md", "book/how_to_run.md", "book/deviations.md"]
+SMALL = {
+    "[...]  ": "[np.random.default_rng(i).normal(size=(30, 3)) for i in range(3)]  ",
+    "100_000": "2048",
+    "progress_bar=True": "progress_bar=False",
+}
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (REPO / page).read_text(), flags=re.DOTALL)
+
+
+def test_the_readmes_python_runs(tmp_path: Path) -> None:
+    code = "import numpy as np\n" + "\n".join(blocks("README.md", "python"))
+    for shown, small in SMALL.items():
+        assert shown in code
+        code = code.replace(shown, small)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "pendulum.zip").exists()
+
+
+def commands() -> list[str]:
+    found = []
+    for page in PAGES:
+        for block in blocks(page, "bash"):
+            lines = block.replace("\\\n", " ").splitlines()
+            found += [line for line in lines if line.startswith("python -m silem")]
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize("command", commands())
+def test_commands_are_understood(command: str) -> None:
+    words = shlex.split(command)[3:]
+    if "--help" in words:
+        with pytest.raises(SystemExit, match="0"):
+            command_line.main(words)
+    else:
+        assert callable(command_line.parser().parse_args(words).command)
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", *PAGES[1:]])
+def test_files_and_targets_that_are_named_exist(page: str) -> None:
+    text = (REPO / page).read_text()
+    named = re.findall(r"`((?:silem|notebooks|book|tests|\.ci)/[\w./-]+)`", text)
+    assert [name for name in named if not (REPO / name).exists()] == []
+    targets = re.findall(r"^([a-z]+):", (REPO / "Makefile").read_text(), flags=re.MULTILINE)
+    assert set(re.findall(r"\bmake ([a-z]+)`", text)) <= set(targets)
