@@ -12,30 +12,43 @@ from silem.study import runs
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
+    """One entry of a study's figures: a method on a body, from some expert, over all trials.
 
+    ``overrides`` are the hyper-parameters that differ from the supplement's best combination.
+    """
+
+    study: str
     method: str
     body: str
     demonstrations: str | None = None
+    overrides: tuple[tuple[str, float], ...] = ()
 
-    def config(self, budget: str | Budget, seed: int, study: str | None = None) -> RunConfig:
+    def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
         return RunConfig.create(
-            self.body, self.method, self.demonstrations, budget, seed, study=study
-        )
+            self.body, self.method, self.demonstrations, budget, seed,
+            study=self.study, **dict(self.overrides),
+        )  # fmt: skip
 
 
 _HALF_CHEETAHS = ("HC0", "HC1", "HC2")
+_FIGURE_2B, _NO_PENALTY = "halfcheetah", "no-gradient-penalty"
 _STUDIES = {
     # Figure 2b and Table 1
-    "halfcheetah": (
-        *(Cell("ppo", body) for body in _HALF_CHEETAHS),
-        *(Cell("silem", body, "HC0") for body in _HALF_CHEETAHS),
-        *(Cell("silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
-        *(Cell("silem-minus-own", body, body) for body in _HALF_CHEETAHS),
-        Cell("silem-mlp", "HC0", "HC0"),
-        *(Cell("random", body) for body in _HALF_CHEETAHS),
-    )
+    _FIGURE_2B: (
+        *(Cell(_FIGURE_2B, "ppo", body) for body in _HALF_CHEETAHS),
+        *(Cell(_FIGURE_2B, "silem", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell(_FIGURE_2B, "silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
+        *(Cell(_FIGURE_2B, "silem-minus-own", body, body) for body in _HALF_CHEETAHS),
+        Cell(_FIGURE_2B, "silem-mlp", "HC0", "HC0"),
+        *(Cell(_FIGURE_2B, "random", body) for body in _HALF_CHEETAHS),
+    ),
+    # the same with the paper's loss for D, which has no gradient penalty: page "Deviations"
+    _NO_PENALTY: tuple(
+        Cell(_NO_PENALTY, method, body, "HC0", (("gradient_penalty", 0.0),))
+        for method in ("silem", "silem-minus")
+        for body in _HALF_CHEETAHS
+    ),
 }
 
 
