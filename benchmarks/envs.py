@@ -1,8 +1,9 @@
 """Simulation speed: raw PyBullet, our environments and the public package's, in one table.
 
-`python -m benchmarks.envs` runs all contenders in turn, many times over, on random actions. The
-time is the processor's, so that what else runs on the machine matters less. Every repetition
-starts from a reset, which is not timed, and is short enough for bodies to stay on their feet.
+`python -m benchmarks.envs` times all contenders in turn, many times over. Within a repetition all
+get the same actions, and raw PyBullet and our batched environment also the same start, so the same
+physics. The time is the processor's, and shares are medians of the repetitions' own, so what else
+runs on the machine matters little.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -22,149 +24,173 @@ from tqdm import tqdm
 
 from silem import bodies
 from silem.envs import BulletEnv, BulletVecEnv
-from silem.envs.bullet import start_angles
-from silem.envs.simulator import Simulator
 
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 TARGET_TIMES_PEER = 2.3
 TARGET_SHARE_OF_RAW = 0.80
-_STEPS = 100  # per client and repetition: 1.65 s of simulated time
+_STEPS = 100  # per client and repetition: 1.65 s of simulated time, too short to fall over
+
+
+class Contender(Protocol):
+    """Something that steps a body."""
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, E, A) actions."""
+
+
+class Batched:
+    """Our batched environment."""
+
+    def __init__(self, body: str, n_clients: int) -> None:
+        """Make the environments."""
+        self.env = BulletVecEnv(body, n_clients)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self.env.seed(seed)
+        self.env.reset()
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, E, A) actions."""
+        step = self.env.step
+        for action in actions:
+            step(action)
+
+
+class Raw(Batched):
+    """PyBullet alone, on the same clients: torques set, simulation stepped, nothing read."""
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, E, A) actions."""
+        control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
+        mode = pybullet.TORQUE_CONTROL
+        strengths = [motor.torque_n_m for motor in self.env.body.motors]
+        clients = [(sim.robot, sim.joints, sim.client) for sim in self.env.simulators]
+        for torques in (actions * strengths).tolist():
+            for (robot, joints, client), forces in zip(clients, torques, strict=True):
+                control(robot, joints, mode, forces=forces, physicsClientId=client)
+                simulate(client)
+
+
+class Single:
+    """Any Gymnasium environment."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        """Keep the environment."""
+        self.env = env
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self.env.reset(seed=seed)
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, 1, A) actions."""
+        step = self.env.step
+        for action in actions[:, 0]:
+            step(action)
 
 
 @dataclass
-class Contender:
-    """Something that steps a body.
+class Row:
+    """One row of the table.
 
     Attributes:
-        name: Of its row in the table.
-        n_clients: Number of PyBullet clients it steps in turn.
-        reset: Starts an episode.
-        run: Steps through (steps, clients, A) actions.
-        rates: Steps of one client per second of processor time, one per repetition.
+        name: What was timed.
+        n_clients: Number of PyBullet clients stepped in turn.
+        contender: Steps them.
+        rates: (N,) steps of one client per second of processor time, one per repetition.
     """
 
     name: str
     n_clients: int
-    reset: Callable[[], object]
-    run: Callable[[np.ndarray], None]
+    contender: Contender
     rates: list[float] = field(default_factory=list)
 
-    @property
-    def best(self) -> float:
-        """Fastest repetition."""
-        return max(self.rates)
+    def times(self, other: Row) -> float:
+        """Median over repetitions of this row's rate over the other's."""
+        return float(np.median(np.divide(self.rates, other.rates)))
+
+
+@dataclass
+class Measurement:
+    """All rows of one body: a raw and a batched one per number of clients, and two single ones."""
+
+    body: str
+    raw: list[Row]
+    batched: list[Row]
+    single: Row
+    peer: Row
+
+    @classmethod
+    def prepare(cls, body: str, clients: Sequence[int]) -> Measurement:
+        """Make all contenders."""
+        return cls(
+            body,
+            [Row("raw stepSimulation", n, Raw(body, n)) for n in clients],
+            [Row("silem.make_vec", n, Batched(body, n)) for n in clients],
+            Row(f"gymnasium silem/{body}-v0", 1, Single(BulletEnv(body))),
+            Row(f"gymnasium {PEERS[body]}", 1, Single(_peer(body))),
+        )
 
     @property
-    def median(self) -> float:
-        """Median repetition."""
-        return float(np.median(self.rates))
+    def rows(self) -> list[Row]:
+        """All rows, raw and batched alternating, so that they are timed one after the other."""
+        pairs = [row for pair in zip(self.raw, self.batched, strict=True) for row in pair]
+        return [*pairs, self.single, self.peer]
+
+    def repeat(self, seed: int) -> None:
+        """Time every row once."""
+        n_actions = len(bodies.get(self.body).motors)
+        rng = np.random.default_rng(seed)
+        most = max(row.n_clients for row in self.rows)
+        actions = rng.uniform(-1, 1, (_STEPS, most, n_actions)).astype(np.float32)
+        for row in self.rows:
+            row.contender.reset(seed)
+            mine = np.ascontiguousarray(actions[:, : row.n_clients])
+            start = time.process_time()
+            row.contender.run(mine)
+            seconds = time.process_time() - start
+            row.rates.append(_STEPS * row.n_clients / seconds)
+
+    def table(self) -> str:
+        """Return the rows as text."""
+        raw = {row.n_clients: row for row in self.raw}
+        return "\n".join(
+            f"{self.body:5} {row.name:34} {row.n_clients:7} {max(row.rates):9,.0f} "
+            f"{np.median(row.rates):9,.0f} "
+            + (f"{row.times(raw[row.n_clients]):9.1%} " if row.n_clients in raw else " " * 10)
+            + f"{row.times(self.peer):9.2f}"
+            for row in self.rows
+        )
+
+    def verdict(self) -> str:
+        """Say how our batched environment stands against the targets, at its best."""
+        pairs = zip(self.raw, self.batched, strict=True)
+        share, n = max((ours.times(raw), raw.n_clients) for raw, ours in pairs)
+        times, m = max((row.times(self.peer), row.n_clients) for row in self.batched)
+        return (
+            f"{self.body}: {share:.1%} of raw with {n} clients "
+            f"(target {TARGET_SHARE_OF_RAW:.0%}: {_word(share >= TARGET_SHARE_OF_RAW)}), "
+            f"{times:.2f} times the public package with {m} "
+            f"(target {TARGET_TIMES_PEER}: {_word(times >= TARGET_TIMES_PEER)})"
+        )
 
 
-def raw(body: str, n_clients: int) -> Contender:
-    """PyBullet alone: torques set and the simulation stepped, nothing read."""
-    simulators = [Simulator(bodies.get(body)) for _ in range(n_clients)]
-    torques = np.array([motor.torque_n_m for motor in bodies.get(body).motors])
-    rng = np.random.default_rng(0)
-
-    def reset() -> None:
-        for simulator in simulators:
-            simulator.reset(start_angles(rng, simulator.body))
-
-    def run(actions: np.ndarray) -> None:
-        control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
-        mode = pybullet.TORQUE_CONTROL
-        clients = [(sim.robot, sim.joints, sim.client) for sim in simulators]
-        for step in (actions * torques).tolist():
-            for (robot, joints, client), forces in zip(clients, step, strict=True):
-                control(robot, joints, mode, forces=forces, physicsClientId=client)
-                simulate(client)
-
-    return Contender("raw stepSimulation", n_clients, reset, run)
+def _word(reached: bool) -> str:
+    return "reached" if reached else "missed"
 
 
-def vectorised(body: str, n_clients: int) -> Contender:
-    """Our batched environment."""
-    env = BulletVecEnv(body, n_clients)
-
-    def run(actions: np.ndarray) -> None:
-        for step in actions:
-            env.step(step)
-
-    return Contender("silem.make_vec", n_clients, env.reset, run)
-
-
-def single(name: str, env: gymnasium.Env) -> Contender:  # type: ignore[type-arg]
-    """Any Gymnasium environment."""
-
-    def run(actions: np.ndarray) -> None:
-        for step in actions[:, 0]:
-            env.step(step)
-
-    return Contender(name, 1, env.reset, run)
-
-
-def contenders(body: str, clients: Sequence[int]) -> list[Contender]:
-    """Return all that step a body: raw and batched for each number of clients, then singles."""
-    import pybullet_envs_gymnasium  # noqa: F401, PLC0415  registers the public environments
+def _peer(body: str) -> gymnasium.Env[Any, Any]:
+    """Make the public package's environment; its first reset builds it."""
+    import pybullet_envs_gymnasium  # noqa: F401  registers its environments
 
     with _silence():
-        peer = gymnasium.make(PEERS[body], disable_env_checker=True).unwrapped
-        peer.reset(seed=0)
-    pairs = [make(body, n) for n in clients for make in (raw, vectorised)]
-    return [
-        *pairs,
-        single(f"gymnasium silem/{body}-v0", BulletEnv(body)),
-        single(f"gymnasium {PEERS[body]}", peer),
-    ]
-
-
-def measure(body: str, clients: Sequence[int], repetitions: int) -> list[Contender]:
-    """Time all contenders in turn, `repetitions` times."""
-    entrants = contenders(body, clients)
-    n_actions = len(bodies.get(body).motors)
-    rng = np.random.default_rng(0)
-    with tqdm(total=repetitions * len(entrants), desc=body, file=sys.stderr) as progress:
-        for _ in range(repetitions):
-            for entrant in entrants:
-                shape = (_STEPS, entrant.n_clients, n_actions)
-                actions = rng.uniform(-1, 1, shape).astype(np.float32)
-                entrant.reset()
-                start = time.process_time()
-                entrant.run(actions)
-                seconds = time.process_time() - start
-                entrant.rates.append(_STEPS * entrant.n_clients / seconds)
-                progress.update()
-    return entrants
-
-
-def table(body: str, entrants: Sequence[Contender]) -> str:
-    """Return the rows of one body: rates, and medians as shares of raw and of the peer."""
-    peer = entrants[-1]
-    raw_rates = {e.n_clients: e for e in entrants if e.name.startswith("raw")}
-    rows = []
-    for entrant in entrants:
-        base = raw_rates.get(entrant.n_clients)
-        share = f"{entrant.median / base.median:10.0%}" if base else f"{'':10}"
-        rows.append(
-            f"{body:5} {entrant.name:36} {entrant.n_clients:7} {entrant.best:9,.0f} "
-            f"{entrant.median:9,.0f} {share} {entrant.median / peer.median:9.2f}"
-        )
-    return "\n".join(rows)
-
-
-def verdict(body: str, entrants: Sequence[Contender]) -> str:
-    """Say whether our batched environment reaches its targets at its best number of clients."""
-    peer = entrants[-1].median
-    pairs = list(zip(entrants[:-2:2], entrants[1:-2:2], strict=True))
-    share, times, n = max(
-        (ours.median / r.median, ours.median / peer, r.n_clients) for r, ours in pairs
-    )
-    reached = share >= TARGET_SHARE_OF_RAW and times >= TARGET_TIMES_PEER
-    return (
-        f"{body}, {n} clients: {share:.0%} of raw (target {TARGET_SHARE_OF_RAW:.0%}), "
-        f"{times:.2f} x the public package (target {TARGET_TIMES_PEER}): "
-        f"{'reached' if reached else 'not reached'}"
-    )
+        env = gymnasium.make(PEERS[body], disable_env_checker=True).unwrapped
+        env.reset(seed=0)
+    return env
 
 
 @contextlib.contextmanager
@@ -185,18 +211,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the table and what it means, and return 0."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.envs", description=__doc__)
     parser.add_argument("--bodies", nargs="+", default=list(PEERS), choices=list(PEERS))
-    parser.add_argument("--clients", nargs="+", type=int, default=[1, 4, 8, 16])
-    parser.add_argument("--repetitions", type=int, default=15)
+    parser.add_argument("--clients", nargs="+", type=int, default=[1, 4, 8])
+    parser.add_argument("--repetitions", type=int, default=20)
     options = parser.parse_args(arguments)
-    results = {body: measure(body, options.clients, options.repetitions) for body in options.bodies}
-    print(
-        f"{'body':5} {'what':36} {'clients':>7} {'best':>9} {'median':>9} {'of raw':>10} {'x peer':>9}"
-    )
-    for body, entrants in results.items():
-        print(table(body, entrants))
-    print("Rates: steps of one client per second of processor time. Shares: of medians.")
-    for body, entrants in results.items():
-        print(verdict(body, entrants))
+    measurements = [Measurement.prepare(body, options.clients) for body in options.bodies]
+    for seed in tqdm(range(options.repetitions), desc="repetitions"):
+        for measurement in measurements:
+            measurement.repeat(seed)
+    head = "".join(f"{title:>10}" for title in ("best", "median", "of raw", "x peer"))
+    print(f"{'body':5} {'what':34} clients{head}")
+    for measurement in measurements:
+        print(measurement.table())
+    print("Rates: steps of one client per second of processor time.")
+    for measurement in measurements:
+        print(measurement.verdict())
     return 0
 
 

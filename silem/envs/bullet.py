@@ -65,6 +65,11 @@ class BulletVecEnv(VecEnv):
 
     After `seed(s)`, `reset()` builds all clients afresh, so everything that follows equals, bit
     for bit, a newly made instance with that seed, whatever happened before.
+
+    Attributes:
+        body: The body.
+        max_steps: Steps after which an episode is cut off.
+        simulators: The E simulators; empty before the first `reset` and after `close`.
     """
 
     def __init__(
@@ -93,7 +98,7 @@ class BulletVecEnv(VecEnv):
                 raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
         self.render_mode = render_mode
         self.max_steps = int(max_steps)
-        self._simulators: list[Simulator] = []
+        self.simulators: list[Simulator] = []
         self._generators: list[np.random.Generator] = []
         self._camera: Camera | None = None
         self._actions: list[list[float]] | None = None
@@ -122,7 +127,7 @@ class BulletVecEnv(VecEnv):
         Returns:
             (E, O) first observations, float32.
         """
-        if self._next_generators or not self._simulators:
+        if self._next_generators or not self.simulators:
             self._rebuild()
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._actions = None
@@ -145,10 +150,10 @@ class BulletVecEnv(VecEnv):
         Raises:
             SilemError: If the environments were not reset, or there is no action.
         """
-        if not self._simulators or self._actions is None:
+        if not self.simulators or self._actions is None:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
-        moves = zip(self._tasks, self._simulators, actions, strict=True)
+        moves = zip(self._tasks, self.simulators, actions, strict=True)
         results = [task.step(action, simulator.step(action)) for task, simulator, action in moves]
         observations = as_observations([observation for observation, _ in results])
         rewards = np.array([reward for _, reward in results], dtype=np.float32)
@@ -170,10 +175,10 @@ class BulletVecEnv(VecEnv):
             SilemError: For any other mode, or before the first reset.
         """
         choose("render mode", mode or "rgb_array", ["rgb_array"])
-        if not self._simulators:
+        if not self.simulators:
             raise SilemError("render before reset")
         if self._camera is None:
-            self._camera = Camera(self._simulators[0])
+            self._camera = Camera(self.simulators[0])
         return self._camera.picture()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
@@ -182,9 +187,9 @@ class BulletVecEnv(VecEnv):
 
     def close(self) -> None:
         """Disconnect all clients; closing twice is allowed."""
-        for simulator in self._simulators:
+        for simulator in self.simulators:
             simulator.close()
-        self._simulators, self._camera = [], None
+        self.simulators, self._camera = [], None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, which all environments share, once per index."""
@@ -220,13 +225,13 @@ class BulletVecEnv(VecEnv):
         self.close()
         self._generators = self._next_generators or self._generators
         self._next_generators = []
-        self._simulators = [Simulator(self.body) for _ in range(self.num_envs)]
-        self._tasks = [LocomotionTask(self.body, sim.limits) for sim in self._simulators]
+        self.simulators = [Simulator(self.body) for _ in range(self.num_envs)]
+        self._tasks = [LocomotionTask(self.body, sim.limits) for sim in self.simulators]
 
     def _begin(self, index: int) -> np.ndarray:
         """Start an episode of one environment and return its first observation (O,)."""
         angles = start_angles(self._generators[index], self.body)
-        state = self._simulators[index].reset(angles)
+        state = self.simulators[index].reset(angles)
         return as_observations(self._tasks[index].begin(state))
 
     def _last_info(self, index: int, observation: np.ndarray) -> dict[str, Any]:
