@@ -26,13 +26,13 @@ def trace(frame: pd.DataFrame) -> HTML:
     if len(frame):
         items = [(row.run_id, row.command) for row in frame.itertuples()]
         where = f"records in data/results/{study}" if results.is_evidence(budget) else "local runs"
-        parts.append(_details(f"the {len(items)} runs, and how to rerun each ({where})", items))
+        parts.append(_details(f"the runs, and how to rerun each ({where})", items))
     if missing := frame.attrs["missing"]:
         items = [(run["run_id"], run["command"]) for run in missing]
-        parts.append(_details(f"{len(items)} planned runs that are not made yet", items))
+        parts.append(_details(f"planned runs that are not made yet ({len(items)})", items))
     if set_aside := frame.attrs["set_aside"]:
         items = [(run_id, "") for run_id in set_aside]
-        parts.append(_details(f"{len(items)} runs of other settings or seeds, not shown", items))
+        parts.append(_details(f"runs of other settings or seeds, not shown ({len(items)})", items))
     return HTML(f'<div class="silem-trace">{"".join(parts)}</div>')  # type: ignore[no-untyped-call]
 
 

@@ -262,7 +262,7 @@ def describe(frame: pd.DataFrame) -> str:
     counts = sorted(frame.loc[frame["method"] != "random", "n_iterations"].unique())
     if counts:
         parts[0] += f" ({' or '.join(f'{count:,}' for count in counts)} iterations)"
-    parts.append(f"{len(frame)} runs")
+    parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)

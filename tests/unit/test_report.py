@@ -261,6 +261,18 @@ def test_learning_curves_show_the_mean_over_trials(frame: pd.DataFrame) -> None:
     assert not lines_at(figure.axes[3], style.METHODS["ppo"].color)  # no discriminator
 
 
+def test_learning_curves_tell_no_run_from_nothing_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book"))
+    figure = figures.learning_curves(results.load_records("halfcheetah", "book"))
+    words = texts(figure)
+    assert (words.count("no run"), words.count("not recorded")) == (6, 1)  # no discriminator
+    assert len(figure.axes[0].get_yticks()) > 2
+    assert len(figure.axes[3].get_yticks()) == 0  # no curve, no scale
+
+
 def test_transforms_mark_each_feature_at_the_trials_mean(frame: pd.DataFrame) -> None:
     left, right = figures.transforms(frame).axes
     runs = results.cell(frame, "silem", "HC2")["run_id"]
@@ -370,7 +382,7 @@ def test_trace_names_every_commit_and_says_where_code_was_changed(
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=99))
     table = results.load_records("halfcheetah", "book")
     assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb"
-    assert "1 runs of other settings" in provenance.trace(table).data
+    assert "other settings or seeds, not shown (1)" in provenance.trace(table).data
     table["dirty"] = [False, True]
     assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb with uncommitted changes"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -54,7 +56,9 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
         handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
         if handles:
             figure.legend(handles=handles, loc="outside upper left", ncols=3)
+        _hide_made_up_ticks(grid)
         figure.align_ylabels(grid[:, 0])
+        figure.align_xlabels(grid[-1])
         sources.footer(figure, frame, f"trials per curve: {_counts(frame)}")
     return figure
 
@@ -120,10 +124,19 @@ def _draw_curves(axes: Axes, curves: dict[str, list[pd.DataFrame]], quantity: st
             span = values.min(axis=0), values.max(axis=0)
             axes.fill_between(x / 1e6, *span, color=look.color, alpha=0.16, lw=0)
     if not anything:
-        axes.text(
-            0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="center",
-            color=style.MUTED,
-        )  # fmt: skip
+        word = "not recorded" if any(curves.values()) else "no run"
+        middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+        axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
+
+
+def _hide_made_up_ticks(grid: np.ndarray) -> None:
+    """Take the ticks off rows and columns of panels without a curve: their scale means nothing."""
+    for row in grid:
+        if not any(axes.lines for axes in row):
+            row[0].set_yticks([])
+    for column in grid.T:
+        if not any(axes.lines for axes in column):
+            column[-1].set_xticks([])
 
 
 def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -159,6 +172,8 @@ def _feature_lines(axes: Axes, features: list[str], neutral: float) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
+    axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
+    axes.autoscale_view(scaley=False)
     # Bands tell the torso's features, the joints' and the contacts' apart.
     joints = [i for i, name in enumerate(features) if name.endswith(("angle", "velocity"))]
     joints = [i for i in joints if i > features.index("pitch")]

@@ -106,6 +106,8 @@ def experts(frame: pd.DataFrame) -> Figure:
             cells.body_ticks(axes, frame)
             cells.draw_cells(axes, frame, methods, column, _solid)
             axes.margins(y=0.12)
+            axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
+            axes.autoscale_view(scalex=False)
         _thousands(panels[0])
         _paper_lines(panels[0])
         panels[2].set_ylim(-0.04, 1.08)
