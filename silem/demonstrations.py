@@ -54,9 +54,7 @@ class Demonstrations:
         """Return the first ``n`` trajectories; raises SilemError if there are fewer."""
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
-        return Demonstrations(
-            self.features[:n], self.returns[:n], self.body, self.expert_run_id
-        )
+        return Demonstrations(self.features[:n], self.returns[:n], self.body, self.expert_run_id)
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""

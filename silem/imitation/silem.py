@@ -89,7 +89,8 @@ class SILEM(PPO):
             raise SilemError("SILEM needs demonstrations: a Demonstrations or a list of arrays")
         if demonstrations is not None and not isinstance(demonstrations, Demonstrations):
             demonstrations = Demonstrations.from_arrays(demonstrations)
-        self.demonstrations: Demonstrations = demonstrations
+        # None only while stable-baselines3's load fills the attributes in
+        self.demonstrations: Demonstrations = demonstrations  # type: ignore[assignment]
         super().__init__(policy, env, **kwargs)
 
     def _setup_model(self) -> None:
@@ -142,6 +143,7 @@ class SILEM(PPO):
 
     def _begin_rollout(self, env: VecEnv) -> None:
         starts = self._last_episode_starts
+        assert starts is not None
         if self._tracker is None or starts.all():
             first = self.features.first(env, self._last_obs)
             self._tracker = WindowTracker(self.window, first)
@@ -151,7 +153,7 @@ class SILEM(PPO):
         self._dones = np.zeros(shape[:2], dtype=bool)
 
     def _note_step(
-        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict], env: VecEnv
+        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict[str, Any]], env: VecEnv
     ) -> None:
         reached, first = self.features.reached(env, new_obs, dones, infos)
         assert self._tracker is not None
@@ -243,9 +245,9 @@ class SILEM(PPO):
             self.logger.record(f"imitation/{key}", value)
         if isinstance(self.transform_net, AffineTransform):
             with th.no_grad():
-                for name, value in self.transform_net.named_parameters():
-                    for i, parameter in enumerate(value.tolist()):
-                        self.logger.record(f"transform/{name}_{i}", parameter, exclude="stdout")
+                for name, values in self.transform_net.named_parameters():
+                    for i, entry in enumerate(values.tolist()):
+                        self.logger.record(f"transform/{name}_{i}", entry, exclude="stdout")
 
     def _record_episodes(self) -> None:
         super()._record_episodes()

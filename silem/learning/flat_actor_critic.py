@@ -130,8 +130,9 @@ class FlatActorCritic:
     def refresh_moments(self) -> None:
         """Take over the observation moments of the policy, after they changed."""
         extractor = self.policy.features_extractor
-        has_moments = isinstance(extractor, RunningNormalizer)
-        self._moments = extractor.mean_and_scale(self.params.dtype) if has_moments else None
+        self._moments: tuple[np.ndarray, np.ndarray] | None = None
+        if isinstance(extractor, RunningNormalizer):
+            self._moments = extractor.mean_and_scale(self.params.dtype)
 
     def sample(
         self, x: np.ndarray, rng: np.random.Generator
@@ -221,9 +222,7 @@ class FlatActorCritic:
         self._build_towers(views)
         self.refresh_moments()
 
-    def _adopt_moments(
-        self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]
-    ) -> None:
+    def _adopt_moments(self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]) -> None:
         state = self.policy.optimizer.state[p]
         if state:
             self.exp_avg[part] = state["exp_avg"].numpy().reshape(-1)

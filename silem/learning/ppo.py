@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,8 +13,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import explained_variance, obs_as_tensor, set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from silem.learning import state
-from silem.learning.flat_actor_critic import FlatActorCritic, Losses, MiniBatch
+from silem.learning import state, update
+from silem.learning.flat_actor_critic import FlatActorCritic, Losses
 from silem.learning.normalizer import RunningNormalizer
 
 
@@ -47,7 +46,7 @@ class PPO(SB3PPO):
         super().__init__(policy, env, *args, **kwargs)
 
     _transient: ClassVar[list[str]] = [
-        "_fast", "_rng", "_bootstrap", "_episodes", "_inputs",
+        "_fast", "_rng", "_bootstrap", "_episodes",
     ]  # fmt: skip
 
     def _excluded_save_params(self) -> list[str]:
@@ -132,7 +131,7 @@ class PPO(SB3PPO):
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
             self._store(rollout_buffer, step, actions, rewards, values, log_probs)
-            self._last_obs, self._last_episode_starts = new_obs, dones
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
         rollout_buffer.rewards = self._learning_rewards(rollout_buffer.rewards) + self._bootstrap
         last_values = th.from_numpy(self._values(self._last_obs))
         rollout_buffer.compute_returns_and_advantage(last_values, dones)
@@ -165,9 +164,10 @@ class PPO(SB3PPO):
     ) -> None:
         """Put one step into the rollout buffer; flat arrays straight into its rows."""
         observations, starts = self._last_obs, self._last_episode_starts
+        assert observations is not None and starts is not None
         if self._fast is None:
             tensors = th.from_numpy(values), th.from_numpy(log_probs)
-            buffer.add(observations, actions, rewards, starts, *tensors)
+            buffer.add(observations, actions, rewards, starts, *tensors)  # type: ignore[arg-type]
             return
         buffer.observations[step] = observations
         buffer.actions[step] = actions
@@ -182,7 +182,7 @@ class PPO(SB3PPO):
         """Prepare an imitation learner's own record of the rollout."""
 
     def _note_step(
-        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict], env: VecEnv
+        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict[str, Any]], env: VecEnv
     ) -> None:
         """Let an imitation learner see each step."""
 
@@ -212,7 +212,7 @@ class PPO(SB3PPO):
             return self.policy.unscale_action(actions)
         return np.clip(actions, self.action_space.low, self.action_space.high)
 
-    def _note_episode_ends(self, step: int, dones: np.ndarray, infos: list[dict]) -> None:
+    def _note_episode_ends(self, step: int, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
         if not dones.any():
             return
         for i in np.flatnonzero(dones):
@@ -230,10 +230,13 @@ class PPO(SB3PPO):
     def _train_fast(self, fast: FlatActorCritic) -> None:
         fast.sync()
         self._update_learning_rate(self.policy.optimizer)
+        assert callable(self.clip_range)
         clip_range = self.clip_range(self._current_progress_remaining)
+        rollout = update.flatten(self.rollout_buffer, fast)
         losses: list[Losses] = []
         for _ in range(self.n_epochs):
-            for batch in self._minibatches(fast):
+            order = self._rng.permutation(len(rollout.actions))
+            for batch in rollout.minibatches(order, self.batch_size, self.normalize_advantage):
                 loss = fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef)
                 losses.append(loss)
                 if self.target_kl is not None and loss.approx_kl > 1.5 * self.target_kl:
@@ -242,46 +245,13 @@ class PPO(SB3PPO):
             self._n_updates += 1
             if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
                 break
-        self._log_losses(losses, clip_range)
-
-    def _minibatches(self, fast: FlatActorCritic) -> Iterator[MiniBatch]:
-        buffer = self.rollout_buffer
-        if not buffer.generator_ready:  # as RolloutBuffer.get: environments one after another
-            for name in ("observations", "actions", "values", "log_probs", "advantages", "returns"):
-                setattr(buffer, name, buffer.swap_and_flatten(getattr(buffer, name)))
-            buffer.generator_ready = True
-            self._inputs = fast.normalize(buffer.observations)
-        order = self._rng.permutation(len(buffer.actions))
-        inputs, actions = self._inputs[order], buffer.actions[order]
-        log_probs, returns = buffer.log_probs[order, 0], buffer.returns[order, 0]
-        all_advantages = buffer.advantages[order, 0]
-        for start in range(0, len(order), self.batch_size):
-            rows = slice(start, start + self.batch_size)
-            advantages = all_advantages[rows]
-            if self.normalize_advantage and len(advantages) > 1:
-                advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-            yield MiniBatch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])
-
-    def _log_losses(self, losses: list[Losses], clip_range: float) -> None:
-        buffer = self.rollout_buffer
         log_std = self.policy.log_std.detach().numpy()
-        entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-        means = {key: float(np.mean([getattr(loss, key) for loss in losses]))
-                 for key in ("policy", "value", "approx_kl", "clip_fraction")}  # fmt: skip
-        total = losses[-1].policy - self.ent_coef * entropy + self.vf_coef * losses[-1].value
-        variance = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
-        for key, value in {
-            "entropy_loss": -entropy,
-            "policy_gradient_loss": means["policy"],
-            "value_loss": means["value"],
-            "approx_kl": means["approx_kl"],
-            "clip_fraction": means["clip_fraction"],
-            "loss": total,
-            "explained_variance": variance,
-            "std": float(np.exp(log_std).mean()),
-            "clip_range": clip_range,
-        }.items():
+        for key, value in update.summary(losses, log_std, self.ent_coef, self.vf_coef).items():
             self.logger.record(f"train/{key}", value)
+        buffer = self.rollout_buffer
+        variance = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
+        self.logger.record("train/explained_variance", variance)
+        self.logger.record("train/clip_range", clip_range)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _record_episodes(self) -> None:

@@ -27,7 +27,8 @@ def collect(
             for moment in _MOMENTS:
                 value = state[moment] if state else th.zeros_like(p)
                 arrays[f"{owner}.adam/{i}.{moment}"] = value.detach().cpu().numpy().copy()
-            arrays[f"{owner}.adam/{i}.step"] = np.float32(state["step"] if state else 0.0).reshape(1)
+            step = float(state["step"]) if state else 0.0
+            arrays[f"{owner}.adam/{i}.step"] = np.array([step], np.float32)
     return arrays
 
 

@@ -95,5 +95,5 @@ def test_features_of_the_environment_replace_the_observation() -> None:
 
 
 def test_other_feature_width_is_refused() -> None:
-    with pytest.raises(SilemError, match="3 features per state.*supplies 2"):
+    with pytest.raises(SilemError, match=r"3 features per state.*supplies 2"):
         collected_windows(Counter, 3, n_iterations=1)
