@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from silem import bodies, files, paths
-from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, RunConfig
+from silem.config import BUDGETS, METHODS, ORIGINAL_BODIES, TRIAL_SEEDS, RunConfig
 from silem.errors import SilemError, choose
 from silem.report.validation import validate
 from silem.study import runs
@@ -104,6 +104,8 @@ def select(
     missing = [run for run in frame.attrs["missing"] if keeps(run["method"], run["body"])]
     narrowed = frame[np.array(kept, dtype=bool)].reset_index(drop=True)
     narrowed.attrs = frame.attrs | {"missing": missing}
+    if names is not None:
+        narrowed.attrs["bodies"] = list(names)
     return narrowed
 
 
@@ -113,10 +115,16 @@ def missing_runs(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
-    """List the bodies of a table's study, in the registry's order."""
+    """List the bodies of a table's study, or those selected, in the registry's order."""
     study, _ = context(frame)
     known = {cell.body for cell in cells(study)}
-    return [name for name in bodies.names() if name in known]
+    kept = known & set(frame.attrs.get("bodies", known))
+    return [name for name in bodies.names() if name in kept]
+
+
+def original_body(frame: pd.DataFrame) -> str:
+    """Return the body whose expert demonstrates to the others, e.g. HC0."""
+    return ORIGINAL_BODIES[bodies.get(body_names(frame)[0]).family]
 
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:

@@ -98,9 +98,8 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     Args:
         frame: Runs of one study at one budget.
     """
-    names = results.body_names(frame)
     rows = []
-    for body in names:
+    for body in results.body_names(frame):
         for method in style.METHODS:
             if not results.is_planned(frame, method, body):
                 continue
@@ -108,7 +107,7 @@ def cell_table(frame: pd.DataFrame) -> Styler:
             rows.append(
                 {
                     "body": body,
-                    "method": style.method(method, names[0]).label,
+                    "method": style.method(method, results.original_body(frame)).label,
                     "trials": len(runs),
                     "return": _mean_and_range(runs["return_mean"]),
                     "score": _mean_and_range(runs["normalised"], digits=2),

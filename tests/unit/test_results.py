@@ -143,6 +143,9 @@ def test_selecting_narrows_runs_and_missing_runs_alike(frame: pd.DataFrame) -> N
     assert sorted(set(narrowed["method"])) == ["ppo", "silem"]
     assert set(narrowed["body"]) == {"HC2"}
     assert len(narrowed) == 6 and len(narrowed.attrs["missing"]) == 4
+    assert results.body_names(narrowed) == ["HC2"]
+    assert results.original_body(narrowed) == "HC0"
+    assert results.body_names(frame) == ["HC0", "HC1", "HC2"]
     assert len(frame.attrs["missing"]) == 9  # the whole table is untouched
     assert "6 runs, 4 of the planned runs not made yet" in results.describe(narrowed)
 

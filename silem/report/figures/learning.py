@@ -39,7 +39,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     frame = sources.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
-    looks = [style.method(m, original=names[0]) for m in drawn]
+    looks = [style.method(m, results.original_body(frame)) for m in drawn]
     with style.applied():
         figure, grid = style.new_figure(
             6.0, nrows=len(_QUANTITIES), ncols=len(names), sharex="col", sharey="row", squeeze=False

@@ -33,7 +33,7 @@ def normalised_scores(frame: pd.DataFrame, bootstrap_seed: int = 0) -> Figure:
         bootstrap_seed: Seed of the resampling.
     """
     frame = sources.runs_of("normalised_scores", frame)
-    looks = [style.method(m, original=results.body_names(frame)[0]) for m in IMITATORS]
+    looks = [style.method(m, results.original_body(frame)) for m in IMITATORS]
 
     def interval(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
         generator = seeding.generator(bootstrap_seed, "bootstrap", method, body)
@@ -68,7 +68,7 @@ def gaits(frame: pd.DataFrame) -> Figure:
     """
     frame = sources.runs_of("gaits", frame)
     methods = (*IMITATORS, "ppo")
-    looks = [style.method(m, original=results.body_names(frame)[0]) for m in methods]
+    looks = [style.method(m, results.original_body(frame)) for m in methods]
     with style.applied():
         figure, panels = style.new_figure(3.4, ncols=2)
         titles = {"speed_m_s": "Forward speed (m/s)", "upright": "Share of time upright"}
