@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies, paper
-from silem.budgets import BUDGETS, Budget
+from silem.budgets import BUDGETS, Budget, of_body
 from silem.errors import SilemError, choose
 from silem.hyperparameters import METHODS, TRANSFORMS, HyperParameters
 
@@ -87,6 +87,7 @@ class RunConfig:
         demonstrations = _demonstrations(body, method, family, demonstrations)
         if isinstance(budget, str):
             budget = BUDGETS[choose("budget", budget, BUDGETS)]
+        budget = of_body(budget, body)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
         study = family if study is None else study

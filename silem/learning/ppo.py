@@ -147,8 +147,9 @@ class PPO(SB3PPO):
             self._train_fast(self._fast)
         extractor = self.policy.features_extractor
         if isinstance(extractor, RunningNormalizer):
-            seen = self.rollout_buffer.observations
-            extractor.update(seen.reshape(-1, seen.shape[-1]))
+            buffer = self.rollout_buffer
+            seen = buffer.observations  # SB3's train has flattened it already
+            extractor.update(seen if buffer.generator_ready else buffer.swap_and_flatten(seen))
             if self._fast is not None:
                 self._fast.refresh_moments()
         self._record_episodes()
