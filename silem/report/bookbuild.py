@@ -126,12 +126,19 @@ def execute_notebooks(paths: Sequence[Path], folder: Path, n_workers: int) -> li
     return [done[path.stem] for path in paths]
 
 
-def hide_injected_cell(notebook: nbformat.NotebookNode) -> None:
-    """Fold the cell in which papermill put the parameters away behind a button, in place."""
+_FOLDED = {
+    "parameters": "Show the parameters",
+    "injected-parameters": "Show the parameters set for this book",
+}
+
+
+def fold_parameters(notebook: nbformat.NotebookNode) -> None:
+    """Fold away the cells with a notebook's parameters, papermill's own one included, in place."""
     for cell in notebook.cells:
         tags = cell.metadata.get("tags", [])
-        if "injected-parameters" in tags and "hide-input" not in tags:
-            cell.metadata["tags"] = [*tags, "hide-input"]
+        for tag in _FOLDED.keys() & set(tags):
+            cell.metadata["tags"] = [*tags, *({"hide-input"} - set(tags))]
+            cell.metadata["mystnb"] = {"code_prompt_show": _FOLDED[tag]}
 
 
 def stage(executed: Path, target: Path) -> None:
@@ -148,7 +155,7 @@ def stage(executed: Path, target: Path) -> None:
     (target / "notebooks").mkdir()
     for path in sorted(executed.glob("*.ipynb")):
         notebook = nbformat.read(path, as_version=4)
-        hide_injected_cell(notebook)
+        fold_parameters(notebook)
         nbformat.write(notebook, target / "notebooks" / path.name)
 
 

@@ -165,9 +165,11 @@ class SettingsDirective(TableDirective):
             learned = [method for method in METHODS if method != "random"]
             everyone = set(users) == set(learned)
             rows.append((f"`{field.name}`", text, "all" if everyone else ", ".join(users)))
-        caption = "The hyper-parameters of `silem.hyperparameters.HyperParameters`, their defaults, and the "
-        caption += "methods that use each. The paper's best combination of a cell replaces the "
-        caption += "defaults."
+        caption = (
+            "The hyper-parameters of `silem.hyperparameters.HyperParameters`, their defaults, "
+        )
+        caption += "and the methods that use each. The paper's best combination of a cell replaces "
+        caption += "the defaults."
         return self.markdown_table("settings", caption, ("Name", "Default", "Used by"), rows)
 
 

@@ -75,6 +75,7 @@ def opened(request: pytest.FixtureRequest, html: Path, browser: Browser) -> Iter
 def test_page_is_complete_without_a_network(opened: Opened) -> None:
     page = opened.page
     assert page.locator("article h1").count() == 1
+    assert page.locator(".output.stderr").all_inner_texts() == []  # a warning is not prose
     assert page.evaluate(BROKEN_IMAGES) == []
     assert page.evaluate(UNSET_MATHEMATICS) == []
     for video in page.locator("video").all():
