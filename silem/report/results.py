@@ -7,67 +7,25 @@ as missing and runs of other settings as set aside; neither is passed over in si
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
-from silem import bodies, files, paths
-from silem.config import BUDGETS, METHODS, ORIGINAL_BODIES, TRIAL_SEEDS, RunConfig
-from silem.errors import SilemError, choose
-from silem.report.validation import validate
+from silem import bodies, files
+from silem.config import BUDGETS, ORIGINAL_BODIES
+from silem.errors import SilemError
+from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
 from silem.study.curve import COLUMNS as CURVE_COLUMNS
-from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
-from silem.study.studies import cells, study_configs
+from silem.study.record import CURVE, TRANSFORM, RunRecord
+from silem.study.studies import cells
 
-KEYS = ["body", "method", "demonstrations", "seed"]
-COLUMNS = [
-    "run_id", *KEYS, "return_mean", "return_std", "normalised", "expert_return", "speed_m_s",
-    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "n_steps", "steps_per_s",
-    "wall_time_s", "commit", "dirty", "command", "returns", "folder",
+__all__ = [
+    "COLUMNS", "KEYS", "body_names", "cell", "context", "describe", "find", "is_evidence",
+    "is_planned", "load_curve", "load_records", "load_transform", "missing_runs", "original_body",
+    "scores", "select",
 ]  # fmt: skip
-
-
-def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
-    """Load a study's finished runs at one budget, one row per run.
-
-    A run counts if it is one that the study plans (see the module). At the budgets whose runs are
-    evidence only the published records count, and only the seeds fixed beforehand; at the smaller
-    ones also the working folder's, with any seed. The random policy counts once per body, because
-    every evaluation meets the same episodes.
-
-    Args:
-        study: The study.
-        budget: The budget.
-
-    Returns:
-        One row per run with `COLUMNS`. ``return_mean`` is the ground-truth return over the
-        evaluation episodes; ``normalised`` divides it by ``expert_return``, the mean return of the
-        same body's PPO experts in the table (paper, Figure 2), and is NaN where there is none or
-        where it is not positive, so that a ratio would mean nothing; ``disc_reward`` is the
-        discriminator's reward of an episode. ``attrs`` holds ``study``, ``budget``, ``missing``
-        (a list of dicts with `KEYS`, ``run_id`` and ``command``) and ``set_aside`` (run ids).
-
-    Raises:
-        SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
-    """
-    choose("budget", budget, BUDGETS)
-    planned = {c.run_id: c for c in study_configs(study, budget) if not _is_copy(c)}
-    rows, set_aside = [], []
-    for record in _records(study, budget):
-        if _is_planned(record, study, budget):
-            rows.append(_row(record))
-        elif not _is_copy(record.run_config()):
-            set_aside.append(record.run_id)
-    frame = pd.DataFrame(rows, columns=COLUMNS)
-    frame = _with_scores(frame.sort_values(KEYS, key=_order).reset_index(drop=True))
-    present = set(frame["run_id"])
-    missing = [_keys(c) for run_id, c in planned.items() if run_id not in present]
-    frame.attrs = {"study": study, "budget": budget, "missing": missing, "set_aside": set_aside}
-    return frame
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
@@ -176,100 +134,17 @@ def find(run_id: str) -> RunRecord:
     return record
 
 
-def _records(study: str, budget: str) -> Iterator[RunRecord]:
-    """Yield the valid records of a study at a budget, each once, published ones first."""
-    folders = [paths.results_dir(study)]
-    if not is_evidence(budget):
-        folders.append(paths.runs_dir() / study)
-    seen = set()
-    for folder in folders:
-        for path in sorted(folder.glob(f"*/{RECORD}")):
-            name = _budget_name(path)
-            if path.parent.name not in seen and name.partition("-")[0] == budget:
-                seen.add(path.parent.name)
-                yield validate(path.parent)
-
-
-def _budget_name(path: Path) -> str:
-    content = files.read_json(path)
-    try:
-        return str(content["config"]["budget"]["name"])
-    except (KeyError, TypeError) as error:
-        raise SilemError(f"{path} is no run record: it names no budget") from error
-
-
-def _is_copy(config: RunConfig) -> bool:
-    """Tell whether a run repeats another: the random policy's trials all meet one seed."""
-    return config.method == "random" and config.seed != TRIAL_SEEDS[0]
-
-
-def _is_planned(record: RunRecord, study: str, budget: str) -> bool:
-    """Tell whether a record is of a planned configuration, and not one of other settings."""
-    config = record.run_config()
-    if _is_copy(config) or (is_evidence(budget) and config.seed not in TRIAL_SEEDS):
-        return False
-    return any(
-        cell.config(budget, config.seed).run_id == record.run_id
-        for cell in cells(study)
-        if (cell.method, cell.body) == (config.method, config.body)
-    )
-
-
-def _row(record: RunRecord) -> dict[str, Any]:
-    evaluation, training, source = record.evaluation, record.training, record.provenance
-    return {
-        **_keys(record.run_config()),
-        "return_mean": evaluation["return_mean"],
-        "return_std": evaluation["return_std"],
-        "speed_m_s": evaluation["speed_m_s"],
-        "upright": evaluation["upright"],
-        "disc_reward": evaluation["disc_reward_mean"],
-        "n_eval_episodes": evaluation["n_episodes"],
-        "n_iterations": record.config["budget"]["n_iterations"],
-        "n_steps": training["n_steps"],
-        "steps_per_s": training["steps_per_s"],
-        "wall_time_s": record.wall_time_s,
-        "commit": source["git_commit"] or "unknown",
-        "dirty": source["git_dirty"],
-        "returns": tuple(evaluation["returns"]),
-        "folder": str(record.folder),
-    }
-
-
-def _keys(config: RunConfig) -> dict[str, Any]:
-    return {
-        "body": config.body,
-        "method": config.method,
-        "demonstrations": config.demonstrations,
-        "seed": config.seed,
-        "run_id": config.run_id,
-        "command": config.command,
-    }
-
-
-def _with_scores(frame: pd.DataFrame) -> pd.DataFrame:
-    experts = frame[frame["method"] == "ppo"].groupby("body")["return_mean"].mean()
-    expert_return = frame["body"].map(experts).astype(float)
-    normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)
-    disc_reward = frame["disc_reward"].astype(float)
-    return frame.assign(expert_return=expert_return, normalised=normalised, disc_reward=disc_reward)
-
-
-def _order(column: pd.Series) -> pd.Series:
-    """Sort bodies by the registry and methods as they are declared, not by the alphabet."""
-    ranks = {"body": bodies.names(), "method": list(METHODS)}
-    if column.name not in ranks:
-        return column
-    return column.map(ranks[column.name].index)
-
-
 def describe(frame: pd.DataFrame) -> str:
     """Say in one line what a table holds: budget, iterations, runs, missing runs."""
     _, budget = context(frame)
+    trained = frame[frame["method"] != "random"]
+    by_body = trained.groupby("body")["n_iterations"].first()
     parts = [f"budget {budget}"]
-    counts = sorted(frame.loc[frame["method"] != "random", "n_iterations"].unique())
-    if counts:
-        parts[0] += f" ({' or '.join(f'{count:,}' for count in counts)} iterations)"
+    if by_body.nunique() == 1:
+        parts[0] += f" ({by_body.iloc[0]:,} iterations)"
+    elif len(by_body):
+        listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
+        parts[0] += f" (iterations: {listing})"
     parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")

@@ -162,7 +162,8 @@ def test_drawing_leaves_no_state_behind(frame: pd.DataFrame) -> None:
 def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> None:
     shown = figures.runs_of(name, frame)
     text = footer(getattr(figures, name)(frame))
-    assert "budget book (" in text and f"{len(shown)} runs" in text
+    assert text.startswith("budget book (") and "iterations" in text
+    assert f"{len(shown)} runs" in text
     assert "not evidence" not in text
 
 
