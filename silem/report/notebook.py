@@ -13,16 +13,19 @@ import base64
 import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from numbers import Integral, Real
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from IPython.display import HTML, SVG, display
 from matplotlib.figure import Figure
 from myst_nb import glue
+from pandas.io.formats.style import Styler
 
 from silem.errors import SilemError
-from silem.report import results, style
+from silem.report import results, style, tables
 from silem.report.rendering import Clip, encode_mp4, encode_png, rollout, side_by_side
 from silem.study.policies import load_policy
 from silem.study.record import POLICY
@@ -136,6 +139,26 @@ def show(figure: Figure) -> None:
     _display(SVG(style.svg(figure)))  # type: ignore[no-untyped-call]
 
 
+def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
+    """Return a table in the book's look; a named index becomes its first column.
+
+    Args:
+        frame: The table.
+        digits: Digits after the point of numbers that are not whole; None writes them as they are.
+        caption: What it shows.
+    """
+    named = frame.reset_index() if frame.index.name else frame
+    return tables.styled(named.map(lambda value: _cell(value, digits)), caption)
+
+
+def _cell(value: Any, digits: int | None) -> str:
+    if isinstance(value, bool | str) or not isinstance(value, Real):
+        return html.escape(str(value))
+    if digits is None or isinstance(value, Integral):
+        return f"{value:,}".replace("-", "−")
+    return tables.number(float(value), digits)
+
+
 def play(clip: Clip, caption: str) -> None:
     """Embed a clip as a video that needs neither a network nor a file beside the page.
 
@@ -196,21 +219,24 @@ def _display_html(text: str) -> None:
     _display(HTML(text))  # type: ignore[no-untyped-call]
 
 
-def say(**values: float | str | None) -> None:
+def say(**values: float | str | np.ndarray | None) -> None:
     """Make numbers available to the page's sentences, through ``{glue:text}`name` ``.
 
     Args:
-        **values: Numbers or texts by the name that the sentences use. None and NaN, for what no
-            run has shown yet, become a dash.
+        **values: Numbers or texts by the name that the sentences use; of an array, such as the
+            scores of a cell's trials, the mean. None, NaN and an empty array, for what no run has
+            shown yet, become a dash.
     """
     for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = float(value.mean()) if len(value) else None
         glue(name, value if isinstance(value, str) else _in_words(value), display=False)
 
 
 def _in_words(value: float | None) -> str:
     """Write a number with as many digits as a sentence needs, and a true minus."""
     if value is None or math.isnan(value):
-        return "–"
+        return tables.DASH
     if abs(value) >= 100 or value == int(value):
         return style.number(value)
     return f"{value:.2f}".replace("-", "−")

@@ -1,0 +1,133 @@
+"""A data folder to run the notebooks in: a made-up study, demonstrations and a few policies."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import numpy as np
+import papermill
+import pytest
+
+from silem import demonstrations, files
+from silem.config import RunConfig
+from silem.demonstrations import Demonstrations
+from silem.envs import make_vec
+from silem.study.policies import make_policy_model
+from silem.study.record import POLICY, RunRecord
+
+REPO = Path(__file__).parents[2]
+NOTEBOOKS = sorted((REPO / "notebooks").glob("*.ipynb"))
+
+sys.path.insert(0, str(REPO / "tests" / "unit"))  # the made-up records are shared with its tests
+import synthetic_records as synthetic
+
+MISSING = {("silem", "HC1"): 3, ("silem-mlp", "HC0"): 0}
+FILMED = [("ppo", "HC0"), ("silem", "HC2"), ("silem-minus", "HC2")]
+
+Execute = Callable[..., nbformat.NotebookNode]
+
+
+@pytest.fixture(scope="session")
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data folder with a study at the book budget, some of whose trials are missing."""
+    folder = tmp_path_factory.mktemp("data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SILEM_DATA_DIR", str(folder))
+        synthetic.write_study("book", without=MISSING)
+        for method, body in FILMED:
+            add_untrained_policy(RunConfig.create(body, method, budget="book"))
+        demonstrations.publish("HC0", random_demonstrations("HC0"))
+    return folder
+
+
+def add_untrained_policy(config: RunConfig) -> None:
+    """Give a made-up record a policy that can act."""
+    from silem.study import runs
+
+    record = runs.find(config.run_id)
+    assert record is not None
+    env = make_vec(config.body, n_envs=1)
+    model = make_policy_model(config, env)
+    env.close()
+    path = record.folder / POLICY
+    files.write_tensors(path, model.policy_arrays(), {"run_id": config.run_id})
+    with_policy = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
+    with_policy.save(record.folder)
+
+
+def random_demonstrations(body: str, n_trajectories: int = 20, n_steps: int = 60) -> Demonstrations:
+    """Short trajectories of a random policy, as many as the supplement's combinations use."""
+    env = make_vec(body, n_envs=n_trajectories, seed=0)
+    rng = np.random.default_rng(0)
+    states = [env.reset().copy()]
+    for _ in range(n_steps):
+        actions = rng.uniform(-1, 1, (n_trajectories, env.body.action_size))
+        states.append(env.step(actions)[0].copy())
+    env.close()
+    features = np.stack(states, axis=1).astype(np.float32)
+    return Demonstrations(tuple(features), (0.0,) * n_trajectories, body, "a random policy")
+
+
+@pytest.fixture
+def execute(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Execute:
+    """Run a notebook by name through papermill, with parameters, in the made-up data folder."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(data_dir))
+    monkeypatch.setenv("PYTHONPATH", str(REPO))
+    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
+
+    def run(name: str, **parameters: Any) -> nbformat.NotebookNode:
+        (source,) = [path for path in NOTEBOOKS if path.stem == name]
+        return papermill.execute_notebook(
+            source,
+            tmp_path / source.name,
+            parameters,
+            progress_bar=False,
+            cwd=tmp_path,
+            execution_timeout=300,
+        )
+
+    return run
+
+
+def find(run_id: str, data_dir: Path) -> RunRecord:
+    """Load a record of the made-up data folder, wherever it lies."""
+    (path,) = data_dir.glob(f"*/halfcheetah/{run_id}/record.json")
+    return RunRecord.load(path)
+
+
+def output(notebook: nbformat.NotebookNode, cell_id: str) -> str:
+    """All that a cell shows, as text: HTML, SVG, plain text and what it printed."""
+    (cell,) = [cell for cell in notebook.cells if cell.id == cell_id]
+    parts = []
+    for item in cell.outputs:
+        data = item.get("data", {})
+        parts += [item.get("text", "")] if item.get("name") == "stdout" else []
+        parts += [data[kind] for kind in ("text/html", "image/svg+xml") if kind in data]
+        if set(data) == {"text/plain"}:
+            parts.append(data["text/plain"])
+    return "".join("".join(part) for part in parts)
+
+
+def said(notebook: nbformat.NotebookNode) -> dict[str, str]:
+    """The numbers that the page's sentences use, by name."""
+    words = {}
+    for cell in notebook.cells:
+        for item in cell.get("outputs", []):
+            name = item.get("metadata", {}).get("scrapbook", {}).get("name")
+            if name:
+                data = item["data"]
+                text = next(value for key, value in data.items() if key.endswith("text/plain"))
+                words[name] = text.strip("'")
+    return words
+
+
+def glue_roles(notebook: nbformat.NotebookNode) -> set[str]:
+    """The names that the page's sentences ask for."""
+    text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    return set(re.findall(r"\{glue:text\}`(\w+)`", text))
