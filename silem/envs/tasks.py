@@ -90,8 +90,9 @@ class LocomotionTask:
         self.exploded = not math.isfinite(reward)
         if self.exploded:
             observation, reward = [0.0] * len(observation), -1.0
+        else:
+            self._position = state.parts[0]
         self._distance_m = distance_m
-        self._position = state.parts[0]
         self._contact = state.contact
         self._n_upright += upright
         self._return += reward

@@ -1,0 +1,148 @@
+"""Bodies: the originals stay the originals, the others differ exactly where they should."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from pathlib import Path
+
+import numpy as np
+import pybullet
+import pybullet_data
+import pytest
+
+from silem import bodies
+from silem.bodies import mjcf
+from silem.bodies.shapes import shapes
+from silem.envs.simulator import Simulator
+from silem.errors import SilemError
+
+MJCF = Path(pybullet_data.getDataPath()) / "mjcf"
+WATER_KG_M3 = 1000.0  # the density PyBullet gives to shapes
+
+
+def changed_lines(name: str, original: str) -> list[str]:
+    before, after = (bodies.get(body).model_xml().splitlines() for body in (original, name))
+    return [line[1:].strip() for line in difflib.ndiff(before, after) if line.startswith("+ ")]
+
+
+def ends(name: str, geom: str) -> tuple[np.ndarray, np.ndarray]:
+    (shape,) = (shape for shape in shapes(bodies.get(name)) if shape.name == geom)
+    return shape.start, shape.end
+
+
+def test_names_are_in_the_papers_order():
+    assert bodies.names("halfcheetah") == ["HC0", "HC1", "HC2"]
+    assert bodies.names("ant") == [f"Ant{i}" for i in range(7)]
+    assert bodies.names() == bodies.names("halfcheetah") + bodies.names("ant")
+
+
+@pytest.mark.parametrize(("name", "file"), [("HC0", "half_cheetah.xml"), ("Ant0", "ant.xml")])
+def test_originals_are_pybullets_files_byte_for_byte(name: str, file: str):
+    assert bodies.get(name).model_xml().encode() == (MJCF / file).read_bytes()
+
+
+def test_hc2_differs_from_the_original_in_four_attributes():
+    assert changed_lines("HC2", "HC0") == [
+        '<geom fromto="-1.5 0 0 1.5 0 0" name="torso" size="0.046" type="capsule"/>',
+        '<geom axisangle="0 1 0 .87" name="head" pos="1.6 0 0.1" size="0.046 .15" type="capsule"/>',
+        '<body name="bthigh" pos="-1.5 0 0">',
+        '<body name="fthigh" pos="1.5 0 0">',
+    ]
+
+
+def test_ant6_differs_from_the_original_in_its_innermost_links():
+    lines = changed_lines("Ant6", "Ant0")
+    assert len(lines) == 8
+    assert '<geom fromto="0.0 0.0 0.0 0.2 0.2 0.0"' not in "".join(lines)
+    assert '<body name="aux_3" pos="-0.5 -0.5 0">' in lines
+    assert '<geom fromto="0 0 0 -0.5 0.5 0" name="aux_2_geom" size="0.08" type="capsule"/>' in lines
+
+
+@pytest.mark.parametrize(("name", "length"), [("HC0", 1.0), ("HC1", 2.0), ("HC2", 3.0)])
+def test_head_and_thighs_hang_on_the_torsos_ends(name: str, length: float):
+    back, front = ends(name, "torso")
+    np.testing.assert_allclose(front - back, [length, 0, 0])
+    neck = min(ends(name, "head"), key=lambda end: end[0])
+    original = min(ends("HC0", "head"), key=lambda end: end[0])
+    np.testing.assert_allclose(neck - front, original - [0.5, 0, 0], atol=1e-9)
+    simulator = Simulator(bodies.get(name))
+    torso = np.array(simulator.place("torso")[0])
+    np.testing.assert_allclose(np.subtract(simulator.place("bthigh")[0], torso), back, atol=1e-6)
+    np.testing.assert_allclose(np.subtract(simulator.place("fthigh")[0], torso), front, atol=1e-6)
+
+
+@pytest.mark.parametrize("index", range(7))
+def test_ants_reach_grows_by_their_innermost_link(index: int):
+    simulator = Simulator(bodies.get(f"Ant{index}"))
+    reach = 0.2 + 0.05 * index
+    hip = np.subtract(simulator.place("aux_4")[0], simulator.place("torso")[0])
+    ankle = np.subtract(simulator.place("right_back_foot")[0], simulator.place("torso")[0])
+    np.testing.assert_allclose(hip, [reach, -reach, 0], atol=1e-6)
+    np.testing.assert_allclose(ankle, [reach + 0.2, -reach - 0.2, 0], atol=1e-6)
+
+
+def test_masses_are_those_pybullet_uses():
+    masses = [bodies.describe(name)["masses_kg"] for name in ("HC0", "HC1", "HC2")]
+    metre_of_torso = WATER_KG_M3 * math.pi * 0.046**2
+    for lighter, heavier in zip(masses, masses[1:], strict=False):
+        difference = {link: heavier[link] - lighter[link] for link in lighter}
+        assert difference.pop("torso") == pytest.approx(metre_of_torso, rel=1e-6)
+        assert difference == dict.fromkeys(difference, 0.0)
+    assert bodies.describe("HC0")["total_mass_kg"] == pytest.approx(38.19, abs=0.01)  # file: 14
+    assert bodies.describe("Ant0")["total_mass_kg"] == pytest.approx(182.2, abs=0.1)
+
+
+def test_description_names_what_can_be_printed():
+    hc = bodies.describe("HC1")
+    assert hc["lengths_m"]["torso"] == 2.0
+    assert hc["lengths_m"]["bthigh"] == pytest.approx(0.29)
+    assert hc["actuators"] == pytest.approx(
+        {"bthigh": 108, "bshin": 81, "bfoot": 54, "fthigh": 126, "fshin": 54, "ffoot": 27}
+    )
+    assert hc["joints"]["ffoot"] == pytest.approx((-3.1, -0.3))
+    ant = bodies.describe("Ant6")
+    assert ant["lengths_m"]["aux_1_geom"] == pytest.approx(math.sqrt(0.5), abs=1e-6)
+    assert set(ant["actuators"].values()) == {250.0}
+    assert len(ant["joints"]) == 8
+
+
+@pytest.mark.parametrize("name", bodies.names())
+def test_weighted_parts_stand_for_all_links(name: str, rng: np.random.Generator):
+    """The mean that PyBullet's tasks take over all links and the floor, from fewer of them."""
+    body = bodies.get(name)
+    simulator = Simulator(body)
+    simulator.reset([0.0] * body.action_size)
+    for _ in range(50):
+        state = simulator.step(rng.uniform(-1, 1, body.action_size).tolist())
+    weights = np.array([part.weight for part in body.parts]) / body.n_parts
+    mean = weights @ np.array(state.parts)
+    positions = {"floor": (0.0, 0.0, 0.0)}
+    client = {"physicsClientId": simulator.client}
+    base, _ = pybullet.getBasePositionAndOrientation(simulator.robot, **client)
+    if name.startswith("Ant"):
+        positions["torso"] = base  # a HalfCheetah's base is the track, its torso a link
+    for joint in range(pybullet.getNumJoints(simulator.robot, **client)):
+        link = pybullet.getJointInfo(simulator.robot, joint, **client)[12].decode()
+        positions[link] = pybullet.getLinkState(simulator.robot, joint, **client)[0]
+    assert len(positions) == body.n_parts
+    assert np.abs(base).sum() + np.abs(mean).sum() > 0.01  # it has moved
+    expected = np.mean(list(positions.values()), axis=0)
+    np.testing.assert_allclose(mean[:2], expected[:2], rtol=0, atol=5e-8)
+
+
+def test_unknown_and_repeated_names_are_refused():
+    with pytest.raises(SilemError, match="unknown body 'HC9'; allowed: HC0, HC1, HC2, Ant0"):
+        bodies.get("HC9")
+    with pytest.raises(SilemError, match="unknown family 'cat'; allowed: halfcheetah, ant"):
+        bodies.names("cat")
+    with pytest.raises(SilemError, match="'HC0' is already registered"):
+        bodies.register(bodies.get("HC0"))
+
+
+def test_edits_that_would_miss_are_refused():
+    xml = bodies.get("HC0").model_xml()
+    with pytest.raises(SilemError, match="0 elements <geom name='tail'>"):
+        mjcf.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
+    with pytest.raises(SilemError, match="no attribute 'mass'"):
+        mjcf.set_attribute(xml, "geom", "torso", "mass", "1")
