@@ -14,116 +14,35 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import nbformat
-from tqdm import tqdm
 
 from silem.errors import SilemError
-from silem.files import lock, write_json
+from silem.files import lock, read_json, write_json
 from silem.paths import REPO, data_dir
+from silem.report.execution import Parameters, execute_notebooks
 
-BUILD = REPO / "_build"
-HTML = BUILD / "html"
-EXECUTED = BUILD / "executed"
-SOURCE = BUILD / "source"
-STATE = BUILD / "book.json"
+STATE = "book.json"  # what a finished build was made from
 
-CELL_TIMEOUT_S = 300
-
-BOOK_PARAMETERS: Mapping[str, Mapping[str, Any]] = {
-    "01_bodies": {"video_s": 4.0},
-    "02_experts": {"video_s": 5.0},
-    "04_imitate": {"video_s": 4.0},
-    "05_halfcheetah": {"video_s": 6.0},
+BOOK_PARAMETERS: Parameters = {
+    "01_bodies": {"video_s": 6.0},
+    "02_experts": {"budget": "quick", "video_s": 6.0},
+    "04_imitate": {"body": "HC0", "budget": "quick", "video_s": 6.0},
+    "05_halfcheetah": {"video_s": 7.0},
 }
 """Parameters that differ from a notebook's defaults, which are made for tests."""
-
-
-@dataclass(frozen=True)
-class Execution:
-    """What came of executing one notebook.
-
-    Attributes:
-        name: The notebook's file name without its suffix.
-        seconds: Wall time, the kernel's start included.
-        error: The end of papermill's report, empty if the notebook ran through.
-    """
-
-    name: str
-    seconds: float
-    error: str
 
 
 def notebooks() -> list[Path]:
     """Return the book's notebooks in their order."""
     return sorted((REPO / "notebooks").glob("[0-9][0-9]_*.ipynb"))
-
-
-def execute(notebook: Path, target: Path) -> Execution:
-    """Execute one notebook with papermill and the book's parameters.
-
-    Args:
-        notebook: The notebook, which is left as it is.
-        target: The executed copy; written even if a cell fails, for a look at the failure.
-    """
-    command = [sys.executable, "-m", "papermill", "--no-progress-bar", "--kernel", "python3"]
-    command += ["--cwd", str(notebook.parent), "--execution-timeout", str(CELL_TIMEOUT_S)]
-    for name, value in BOOK_PARAMETERS.get(notebook.stem, {}).items():
-        command += ["-p", name, str(value)]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
-    started = time.perf_counter()
-    done = subprocess.run(
-        [*command, str(notebook), str(target)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    error = done.stderr.strip()[-3000:] if done.returncode else ""
-    return Execution(notebook.stem, time.perf_counter() - started, error)
-
-
-def execute_notebooks(paths: Sequence[Path], folder: Path, n_workers: int) -> list[Execution]:
-    """Execute notebooks side by side, with a progress bar.
-
-    Args:
-        paths: The notebooks.
-        folder: Receives the executed copies; what it held before is removed.
-        n_workers: How many run at a time, each in a process of its own.
-
-    Returns:
-        One entry per notebook, in the order of `paths`.
-
-    Raises:
-        SilemError: If a notebook failed, once all have run; the message holds each failure.
-    """
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    bar = tqdm(total=len(paths), desc="notebooks", unit="page")
-    done: dict[str, Execution] = {}
-    with bar, ThreadPoolExecutor(n_workers) as pool:
-        futures = [pool.submit(execute, path, folder / path.name) for path in paths]
-        for future in as_completed(futures):
-            execution = future.result()
-            done[execution.name] = execution
-            state = "FAILED" if execution.error else "done"
-            bar.write(f"  {execution.name:<20} {execution.seconds:6.1f} s  {state}")
-            bar.update()
-    failures = [f"{name} failed:\n{e.error}" for name, e in sorted(done.items()) if e.error]
-    if failures:
-        raise SilemError("\n\n".join(failures))
-    return [done[path.stem] for path in paths]
 
 
 _FOLDED = {
@@ -197,36 +116,51 @@ def source_digest() -> str:
     return digest.hexdigest()
 
 
-def is_current() -> bool:
-    """Say whether ``_build/html`` was built, without failure, from what is here now."""
-    if not (HTML / "index.html").exists() or not STATE.exists():
+def html(root: Path = REPO) -> Path:
+    """Return the folder that holds the pages of the book built under `root`."""
+    return root / "_build" / "html"
+
+
+def is_current(root: Path = REPO) -> bool:
+    """Say whether the book under `root` was built, without failure, from what is here now."""
+    state = root / "_build" / STATE
+    if not (html(root) / "index.html").exists() or not state.exists():
         return False
-    return bool(json.loads(STATE.read_text())["digest"] == source_digest())
+    return bool(read_json(state)["digest"] == source_digest())
 
 
-def build(n_workers: int = 2, reuse_executed: bool = False) -> Path:
-    """Build the whole book.
+def build(
+    n_workers: int = 2,
+    reuse_executed: bool = False,
+    root: Path = REPO,
+    parameters: Parameters = BOOK_PARAMETERS,
+) -> Path:
+    """Build the whole book in ``_build`` under `root`.
 
     Args:
         n_workers: How many notebooks run at a time.
         reuse_executed: Take the notebooks executed last time, where there are any.
+        root: The folder to build under.
+        parameters: By the notebook's name, those that differ from its defaults.
 
     Returns:
-        The first page, ``_build/html/index.html``.
+        The first page.
 
     Raises:
         SilemError: If a notebook or a page fails, or another build is under way.
     """
-    with lock(BUILD / "book.lock"):
-        STATE.unlink(missing_ok=True)
+    folder = root / "_build"
+    executed, source = folder / "executed", folder / "source"
+    with lock(folder / "book.lock"):
+        (folder / STATE).unlink(missing_ok=True)
         digest = source_digest()
-        if not (reuse_executed and any(EXECUTED.glob("*.ipynb"))):
-            execute_notebooks(notebooks(), EXECUTED, n_workers)
-        stage(EXECUTED, SOURCE)
-        build_html(SOURCE, REPO)
+        if not (reuse_executed and any(executed.glob("*.ipynb"))):
+            execute_notebooks(notebooks(), executed, n_workers, parameters)
+        stage(executed, source)
+        build_html(source, root)
         if not reuse_executed:
-            write_json(STATE, {"digest": digest})
-    return HTML / "index.html"
+            write_json(folder / STATE, {"digest": digest})
+    return html(root) / "index.html"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

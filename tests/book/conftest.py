@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 from silem.errors import SilemError
+from silem.paths import REPO
 from silem.report import bookbuild
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -19,15 +20,21 @@ QUIET = ["--disable-background-networking", "--disable-component-update", "--dis
 
 @pytest.fixture(scope="session")
 def html() -> Path:
-    """The book's folder; built here, once for all workers, unless it is up to date."""
-    bookbuild.BUILD.mkdir(exist_ok=True)
-    with filelock.FileLock(bookbuild.BUILD / "tests.lock"):
-        if not bookbuild.is_current():
+    """The pages of the book: those of `make book` if they are up to date, else built here.
+
+    Here the notebooks run with their own defaults, once for all workers.
+    """
+    if bookbuild.is_current():
+        return bookbuild.html()
+    root = REPO / "_build" / "tests"
+    root.mkdir(parents=True, exist_ok=True)
+    with filelock.FileLock(root / "tests.lock"):
+        if not bookbuild.is_current(root):
             try:
-                bookbuild.build(n_workers=2)
+                bookbuild.build(n_workers=2, root=root, parameters={})
             except SilemError as error:
                 pytest.fail(f"the book cannot be built: {error}", pytrace=False)
-    return bookbuild.HTML
+    return bookbuild.html(root)
 
 
 @pytest.fixture(scope="session")

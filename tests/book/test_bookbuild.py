@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import nbformat
+import papermill
 import pytest
 from nbformat import v4
 
 from silem.errors import SilemError
 from silem.paths import REPO
-from silem.report import bookbuild
+from silem.report import bookbuild, execution
 
 
 def write_notebook(path: Path, *sources: str) -> Path:
@@ -25,19 +26,17 @@ def test_executed_copies_hold_outputs_and_a_failure_names_its_notebook(tmp_path:
     good = write_notebook(tmp_path / "01_good.ipynb", "x = 1", "print(x + 41)")
     bad = write_notebook(tmp_path / "02_bad.ipynb", "x = 1", "raise RuntimeError('no such expert')")
     with pytest.raises(SilemError, match=r"(?s)02_bad failed.*no such expert") as caught:
-        bookbuild.execute_notebooks([good, bad], tmp_path / "out", n_workers=2)
+        execution.execute_notebooks([good, bad], tmp_path / "out", n_workers=2, parameters={})
     assert "01_good" not in str(caught.value)
     executed = nbformat.read(tmp_path / "out" / "01_good.ipynb", as_version=4)
     assert executed.cells[-1].outputs[0].text == "42\n"
     assert nbformat.read(good, as_version=4).cells[-1].outputs == []
 
 
-def test_book_parameters_are_injected_and_folded_away(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bookbuild, "BOOK_PARAMETERS", {"01_page": {"budget": "book"}})
+def test_parameters_are_injected_and_folded_away(tmp_path: Path) -> None:
+    parameters = {"01_page": {"budget": "book"}}
     path = write_notebook(tmp_path / "01_page.ipynb", "budget = 'tiny'", "print(budget)")
-    bookbuild.execute_notebooks([path], tmp_path / "out", n_workers=1)
+    execution.execute_notebooks([path], tmp_path / "out", 1, parameters)
     bookbuild.stage(tmp_path / "out", tmp_path / "source")
     staged = nbformat.read(tmp_path / "source" / "notebooks" / "01_page.ipynb", as_version=4)
     (injected,) = [c for c in staged.cells if "injected-parameters" in c.metadata.get("tags", [])]
@@ -46,8 +45,10 @@ def test_book_parameters_are_injected_and_folded_away(
     assert (tmp_path / "source" / "book" / "method.md").exists()
 
 
-def test_book_parameters_name_notebooks_there_are() -> None:
-    assert set(bookbuild.BOOK_PARAMETERS) <= {path.stem for path in bookbuild.notebooks()}
+def test_the_books_parameters_are_parameters_of_its_notebooks() -> None:
+    paths = {path.stem: path for path in bookbuild.notebooks()}
+    for name, parameters in bookbuild.BOOK_PARAMETERS.items():
+        assert parameters.keys() <= papermill.inspect_notebook(paths[name]).keys()
 
 
 @pytest.mark.parametrize(
