@@ -2,7 +2,8 @@
 
 Every contestant trains on HC0 with the paper's settings (2048 steps an iteration, 10 epochs of
 minibatches of 64; SILEM with its best combination for HC0). They take turns, several rounds, so
-that what else the machine does falls on all of them alike; the table gives medians.
+that what else the machine does falls on all of them alike, and the time is the processor's; the
+table gives medians.
 
     python -m benchmarks.training [--rounds 5] [--iterations 3]
 """
@@ -16,14 +17,13 @@ from statistics import median
 
 import gymnasium
 import numpy as np
-import pybullet
 import torch as th
 from stable_baselines3 import PPO as SB3PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
 import silem
-from silem.envs.simulator import Simulator
+from benchmarks.envs import Raw
 
 BODY, N_ENVS, STEPS_PER_ITERATION = "HC0", 8, 2048
 PPO_SETTINGS = {"n_steps": STEPS_PER_ITERATION // N_ENVS, "batch_size": 64, "seed": 0}
@@ -32,14 +32,16 @@ Contestant = Callable[[int], float]  # trains so many iterations, returns second
 
 
 def raw_simulation() -> Contestant:
-    """Step as many PyBullet clients in turn and do nothing else."""
-    clients = [Simulator(silem.bodies.get(BODY)).client for _ in range(N_ENVS)]
+    """Set torques and step as many PyBullet clients in turn, and do nothing else."""
+    raw = Raw(BODY, N_ENVS)
+    rng = np.random.default_rng(0)
+    shape = (STEPS_PER_ITERATION // N_ENVS, N_ENVS, *raw.env.action_space.shape)
 
     def simulate(iterations: int) -> float:
+        raw.reset(seed=0)
         start = time.process_time()
-        for _ in range(iterations * STEPS_PER_ITERATION // N_ENVS):
-            for client in clients:
-                pybullet.stepSimulation(client)
+        for _ in range(iterations):
+            raw.run(rng.uniform(-1.0, 1.0, shape))
         return time.process_time() - start
 
     return simulate
