@@ -14,6 +14,7 @@ import argparse
 import time
 from collections.abc import Callable
 from statistics import median
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -26,7 +27,11 @@ import silem
 from benchmarks.envs import Raw
 
 BODY, N_ENVS, STEPS_PER_ITERATION = "HC0", 8, 2048
-PPO_SETTINGS = {"n_steps": STEPS_PER_ITERATION // N_ENVS, "batch_size": 64, "seed": 0}
+PPO_SETTINGS: dict[str, Any] = {
+    "n_steps": STEPS_PER_ITERATION // N_ENVS,
+    "batch_size": 64,
+    "seed": 0,
+}
 
 Contestant = Callable[[int], float]  # trains so many iterations, returns seconds
 
@@ -70,9 +75,13 @@ def contestants() -> dict[str, Contestant]:
     """Return everything that is timed, by name; the raw simulation first."""
     rng = np.random.default_rng(0)
     expert = [rng.standard_normal((1001, 26)).astype(np.float32) for _ in range(20)]
-    ours = {"env": silem.make_vec(BODY, N_ENVS), **PPO_SETTINGS}
-    imitate = {"env": silem.make_vec(BODY, N_ENVS), "demonstrations": expert, **PPO_SETTINGS}
-    theirs = {"device": "cpu", **PPO_SETTINGS}
+    ours: dict[str, Any] = {"env": silem.make_vec(BODY, N_ENVS), **PPO_SETTINGS}
+    imitate: dict[str, Any] = {
+        "env": silem.make_vec(BODY, N_ENVS),
+        "demonstrations": expert,
+        **PPO_SETTINGS,
+    }
+    theirs: dict[str, Any] = {"device": "cpu", **PPO_SETTINGS}
     return {
         "raw simulation": raw_simulation(),
         "our PPO": learner(silem.PPO("MlpPolicy", **ours)),
