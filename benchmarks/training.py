@@ -40,7 +40,7 @@ def raw_simulation() -> Contestant:
     """Set torques and step as many PyBullet clients in turn, and do nothing else."""
     raw = Raw(BODY, N_ENVS)
     rng = np.random.default_rng(0)
-    shape = (STEPS_PER_ITERATION // N_ENVS, N_ENVS, *raw.env.action_space.shape)
+    shape = (STEPS_PER_ITERATION // N_ENVS, N_ENVS, raw.env.body.action_size)
 
     def simulate(iterations: int) -> float:
         raw.reset(seed=0)
