@@ -28,7 +28,7 @@ from silem.envs import BulletEnv, BulletVecEnv
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 TARGET_TIMES_PEER = 2.3
 TARGET_SHARE_OF_RAW = 0.80
-_STEPS = 100  # per client and repetition: 1.65 s of simulated time, too short to fall over
+_STEPS = 200  # per client and repetition: 3.3 s of simulated time
 
 
 class Contender(Protocol):

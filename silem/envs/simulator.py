@@ -59,8 +59,8 @@ class Simulator:
         joints: PyBullet's numbers of the actuated joints, in the order of the action.
         limits: Lower and upper limit of each of those joints in rad.
         read: `read()` returns the present state.
-        step: `step(action)` applies (J,) shares of the motors' torques, clipped to -1..1, for one
-            control step, then reads.
+        advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
+            for one control step.
     """
 
     def __init__(self, body: Body) -> None:
@@ -77,7 +77,7 @@ class Simulator:
         self._load()
         self._find()
         self.read = self._make_read()
-        self.step = self._make_step()
+        self.advance = self._make_advance()
         self._start_state = pybullet.saveState(physicsClientId=self.client)
 
     def reset(self, angles: Sequence[float]) -> State:
@@ -150,22 +150,21 @@ class Simulator:
             physicsClientId=self.client,
         )
 
-    def _make_step(self) -> Callable[[Sequence[float]], State]:
-        client, robot, joints, read = self.client, self.robot, self.joints, self.read
+    def _make_advance(self) -> Callable[[Sequence[float]], None]:
+        client, robot, joints = self.client, self.robot, self.joints
         control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
         mode = pybullet.TORQUE_CONTROL
         strengths = [motor.torque_n_m for motor in self.body.motors]
 
-        def step(action: Sequence[float]) -> State:
+        def advance(action: Sequence[float]) -> None:
             forces = [
                 strength * (-1.0 if share < -1.0 else 1.0 if share > 1.0 else share)
-                for strength, share in zip(strengths, action)  # noqa: B905  lengths are checked
+                for strength, share in zip(strengths, action, strict=True)
             ]
             control(robot, joints, mode, forces=forces, physicsClientId=client)
             simulate(client)
-            return read()
 
-        return step
+        return advance
 
     def _make_read(self) -> Callable[[], State]:
         """Return the function that reads the state.

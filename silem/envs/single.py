@@ -75,7 +75,8 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         (row,) = checked_actions(action, (self.body.action_size,))
         if self._simulator is None:
             raise SilemError("step before reset")
-        observation, reward = self._task.step(row, self._simulator.step(row))
+        self._simulator.advance(row)
+        observation, reward = self._task.step(row, self._simulator.read())
         return as_observations(observation), reward, self._task.terminated, False, {}
 
     def render(self) -> np.ndarray | None:
