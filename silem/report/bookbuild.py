@@ -106,7 +106,7 @@ def _files(folders: Iterable[Path]) -> list[Path]:
 
 def source_digest() -> str:
     """Return one SHA-256 over everything the book is made from: code, words, records."""
-    folders = [REPO / name for name in ("book", "notebooks", "silem", "data/paper")]
+    folders = [REPO / name for name in ("book", "notebooks", "silem", "data/paper", "data/search")]
     folders += [data_dir() / name for name in ("results", "demonstrations")]
     single = [REPO / name for name in ("_config.yml", "_toc.yml", "environment.txt")]
     digest = hashlib.sha256()

@@ -20,8 +20,9 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from silem import paper
-from silem.config import BUDGETS, METHODS, HyperParameters
+from silem.budgets import BUDGETS, LONGER, Budget
 from silem.errors import SilemError
+from silem.hyperparameters import METHODS, HyperParameters
 
 Row = Sequence[str]
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -33,6 +34,8 @@ def as_text(value: Any) -> str:
         return ", ".join(as_text(entry) for entry in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
+    if float(value).is_integer() and abs(value) < 1e12:
+        return f"{value:,.0f}".replace("-", "−")
     digits, _, exponent = f"{value:.12g}".replace("-", "−").partition("e")
     if not exponent:
         return digits
@@ -178,21 +181,28 @@ class BudgetsDirective(TableDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table."""
-        head = ["Budget", "Environments", "Steps per iteration", "Iterations", "Steps in all"]
-        head += ["Trials", "Evaluation episodes"]
+        head = ["Budget", "Environments", "Steps per iteration", "Iterations", "Trials"]
+        head.append("Evaluation episodes")
         rows = [
             (
-                f"`{b.name}`",
-                str(b.n_envs),
-                str(b.steps_per_iteration),
-                str(b.n_iterations),
-                f"{b.n_steps:,}",
-                str(b.n_trials),
-                str(b.n_eval_episodes),
+                f"`{budget.name}`",
+                as_text(budget.n_envs),
+                as_text(budget.steps_per_iteration),
+                iterations(budget),
+                as_text(budget.n_trials),
+                as_text(budget.n_eval_episodes),
             )
-            for b in BUDGETS.values()
+            for budget in BUDGETS.values()
         ]
         return self.markdown_table("budgets", "What each budget spends on a run.", head, rows)
+
+
+def iterations(budget: Budget) -> str:
+    """Write a budget's iterations, and the bodies on which it has more."""
+    longer = [
+        f"{as_text(n)} on {body}" for (name, body), n in LONGER.items() if name == budget.name
+    ]
+    return ", ".join([as_text(budget.n_iterations), *longer])
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

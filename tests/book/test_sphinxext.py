@@ -7,15 +7,15 @@ from docutils.core import publish_doctree
 from docutils.parsers.rst import roles
 
 from silem import paper
-from silem.config import HyperParameters
+from silem.hyperparameters import HyperParameters
 from silem.report import sphinxext
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (-1555, "−1555"),
-        (2249, "2249"),
+        (-1555, "−1,555"),
+        (2249, "2,249"),
         (0.999, "0.999"),
         (2e-4, "0.0002"),
         (1e-5, "10⁻⁵"),
@@ -41,7 +41,7 @@ def parsed(text: str) -> str:
 
 
 def test_roles_show_the_value_the_code_uses() -> None:
-    assert parsed(":paper-number:`expert_return`") == str(paper.number("expert_return"))
+    assert parsed(":paper-number:`expert_return`") == f"{paper.number('expert_return'):,}"
     expected = sphinxext.as_text(HyperParameters().gradient_penalty)
     assert parsed(":setting:`gradient_penalty`") == expected
 
