@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 import torch as th
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.logger import configure
 
 from silem import SILEM, Demonstrations, SilemError
 from silem.imitation.discriminator import (
@@ -169,6 +171,21 @@ def test_imitates_an_expert_end_to_end(transform: str) -> None:
     model.learn(16_000)
     expert_return = expert_of_point_mass()[0][1:, 1].sum()
     assert model.iteration_stats["return_mean"] > 0.6 * expert_return
+
+
+def test_logger_reports_imitation(tmp_path) -> None:
+    model = make_model()
+    model.set_logger(configure(str(tmp_path), ["csv", "tensorboard"]))
+    model.learn(512)
+    last = pd.read_csv(tmp_path / "progress.csv").iloc[-1]
+    for name in ("disc_loss", "disc_acc_expert", "disc_acc_learner", "transform_loss"):
+        assert np.isfinite(last[f"imitation/{name}"])
+    # Pendulum's episodes last 200 steps, each worth between 0 and 1
+    assert 0.0 < last["imitation/disc_reward"] < 200.0
+    assert last["rollout/ep_rew_mean"] < 0.0 < last["time/fps"]
+    scale = model.transform_net.scale.tolist()
+    assert [last[f"transform/scale_{i}"] for i in range(3)] == pytest.approx(scale, abs=1e-3)
+    assert list(tmp_path.glob("events.out.tfevents.*"))
 
 
 def test_same_seed_same_arrays() -> None:
