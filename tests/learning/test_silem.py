@@ -177,6 +177,7 @@ def test_logger_reports_imitation(tmp_path) -> None:
     model = make_model()
     model.set_logger(configure(str(tmp_path), ["csv", "tensorboard"]))
     model.learn(512)
+    model.logger.close()
     last = pd.read_csv(tmp_path / "progress.csv").iloc[-1]
     for name in ("disc_loss", "disc_acc_expert", "disc_acc_learner", "transform_loss"):
         assert np.isfinite(last[f"imitation/{name}"])
