@@ -156,7 +156,7 @@ def _cell(value: Any, digits: int | None) -> str:
         return html.escape(str(value))
     if digits is None or isinstance(value, Integral):
         return f"{value:,}".replace("-", "−")
-    return tables.number(float(value), digits)
+    return tables.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
 
 
 def play(clip: Clip, caption: str) -> None:
@@ -207,8 +207,8 @@ def play_first_trials(
         clips[label] = rollout(body, load_policy(record), duration_s=duration_s)
     if clips:
         labels = list(clips)
-        joined = side_by_side(list(clips.values()), labels)
-        play(joined, f"{body}, first trial, in real time: {' | '.join(labels)}")
+        clip = side_by_side(list(clips.values()), labels) if len(clips) > 1 else clips[labels[0]]
+        play(clip, f"{body}, first trial, in real time: {' | '.join(labels)}")
 
 
 def _display(item: object) -> None:

@@ -64,7 +64,7 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
         time_s = np.arange(len(values)) * STEP_S
         for axes, (group, columns) in zip(all_axes[:3], list(groups.items())[:3], strict=True):
             _draw_lines(axes, time_s, values[:, columns], [names[i] for i in columns], group)
-        _draw_contacts(all_axes[3], time_s, values, names, groups["contact"])
+        _draw_contacts(all_axes[3], values, names, groups["contact"])
         all_axes[3].set_xlabel("time (s)")
         figure.align_ylabels(all_axes)
     return figure
@@ -144,7 +144,8 @@ def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
         axes.ticklabel_format(axis="y", useOffset=False)
         axes.yaxis.set_major_locator(MaxNLocator(5))
     if any(lines.values()):
-        axes.legend()
+        axes.set_ylim(0, 1.05)
+        axes.legend(loc="lower right")
     axes.set_xlim(0, table["timesteps"].iloc[-1] * 1.03)
     axes.xaxis.set_major_formatter(EngFormatter())
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -182,13 +183,14 @@ def _draw_lines(
 
 
 def _draw_contacts(
-    axes: Axes, time_s: np.ndarray, values: np.ndarray, names: Sequence[str], columns: list[int]
+    axes: Axes, values: np.ndarray, names: Sequence[str], columns: list[int]
 ) -> None:
     """Draw a bar for every stretch of time in which a part touches the floor."""
     for row, column in enumerate(columns):
-        touching = np.flatnonzero(values[:, column] > 0.5)
-        bars = [(time_s[i] - STEP_S / 2, STEP_S) for i in touching]
-        axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK)
+        touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
+        starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
+        bars = list(zip(starts * STEP_S, (ends - starts) * STEP_S, strict=True))
+        axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK, lw=0)
     labels = [names[column].removesuffix(" contact") for column in columns]
     axes.set_yticks(range(len(columns)), labels)
     axes.set_ylim(len(columns) - 0.4, -0.6)

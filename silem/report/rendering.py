@@ -35,7 +35,8 @@ STEPS_PER_FRAME = 2
 
 _STILL_WIDTH, _STILL_HEIGHT = 480, 300  # pixels, in a gallery
 _INK = (32, 32, 32)
-_LABEL_SIZE = 0.085  # of the picture's height
+_LABEL_SIZE = 0.055  # of the picture's height
+_GAP = 8  # pixels between two clips; even, as the video's width has to be
 
 
 @dataclass(frozen=True)
@@ -177,15 +178,12 @@ def side_by_side(clips: Sequence[Clip], labels: Sequence[str]) -> Clip:
     if len({(clip.frames_per_s, clip.frames.shape[1]) for clip in clips}) > 1:
         raise SilemError("clips side by side need the same frame rate and picture height")
     n_frames = max(len(clip.frames) for clip in clips)
-    columns = [
-        np.pad(
-            labelled(clip, label).frames,
-            [(0, n_frames - len(clip.frames)), (0, 0), (0, 0), (0, 0)],
-            mode="edge",
-        )
-        for clip, label in zip(clips, labels, strict=True)
-    ]
-    return Clip(np.concatenate(columns, axis=2), clips[0].frames_per_s)
+    gap = np.full((n_frames, clips[0].frames.shape[1], _GAP, 3), 255, np.uint8)
+    columns: list[np.ndarray] = []
+    for clip, label in zip(clips, labels, strict=True):
+        held = [(0, n_frames - len(clip.frames)), (0, 0), (0, 0), (0, 0)]
+        columns += [gap, np.pad(labelled(clip, label).frames, held, mode="edge")]
+    return Clip(np.concatenate(columns[1:], axis=2), clips[0].frames_per_s)
 
 
 def labelled(clip: Clip, label: str) -> Clip:

@@ -25,7 +25,7 @@ REPO = Path(__file__).parents[2]
 NOTEBOOKS = sorted((REPO / "notebooks").glob("*.ipynb"))
 
 sys.path.insert(0, str(REPO / "tests" / "unit"))  # the made-up records are shared with its tests
-import synthetic_records as synthetic
+import synthetic_records as synthetic  # noqa: E402
 
 MISSING = {("silem", "HC1"): 3, ("silem-mlp", "HC0"): 0}
 FILMED = [("ppo", "HC0"), ("silem", "HC2"), ("silem-minus", "HC2")]

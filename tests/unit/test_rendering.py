@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 from contextlib import closing
 from pathlib import Path
@@ -10,6 +11,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+import silem
+from silem import bodies
 from silem.errors import SilemError
 from silem.report import rendering
 from silem.report.rendering import Clip
@@ -107,9 +110,10 @@ def test_label_marks_every_frame_and_only_its_corner() -> None:
 def test_side_by_side_holds_the_last_frame_of_the_shorter() -> None:
     long, short = gradient_clip(n_frames=12), gradient_clip(n_frames=5)
     joined = rendering.side_by_side([long, short], ["a", "b"])
-    assert joined.frames.shape == (12, 90, 240, 3)
+    assert joined.frames.shape == (12, 90, 248, 3)
+    assert (joined.frames[:, :, 120:128] == 255).all()
     assert np.array_equal(joined.frames[:, 45:, :120], long.frames[:, 45:])
-    right = joined.frames[:, 45:, 120:]
+    right = joined.frames[:, 45:, 128:]
     assert np.array_equal(right[4], short.frames[4, 45:])
     assert all(np.array_equal(frame, right[4]) for frame in right[4:])
 
@@ -122,3 +126,85 @@ def test_side_by_side_refuses_what_does_not_fit() -> None:
         rendering.side_by_side([clip, Clip(clip.frames, 25.0)], ["a", "b"])
     with pytest.raises(SilemError, match="picture height"):
         rendering.side_by_side([clip, gradient_clip(height=80)], ["a", "b"])
+
+
+class Recorder:
+    """A policy that stands still and remembers how it was called."""
+
+    def __init__(self) -> None:
+        self.calls: list[object] = []
+
+    def reseed(self, seed: int) -> None:
+        self.calls.append(seed)
+
+    def predict(self, observation: np.ndarray, *, deterministic: bool = False) -> tuple:
+        self.calls.append("mean" if deterministic else "sampled")
+        return np.zeros((len(observation), 6), np.float32), None
+
+
+def film(body: str, duration_s: float, **options: object) -> Clip:
+    return rendering.rollout(body, duration_s=duration_s, progress=False, **options)
+
+
+def test_rollout_plays_at_real_speed() -> None:
+    clip = film("HC0", 0.2)
+    assert clip.frames.shape == (6, 480, 640, 3)
+    assert clip.frames.dtype == np.uint8
+    assert clip.duration_s == pytest.approx(0.2, abs=0.01)
+    assert all((a != b).any() for a, b in itertools.pairwise(clip.frames))
+
+
+def test_rollout_depends_on_its_seed_alone() -> None:
+    first, again, other = (film("HC0", 0.1, seed=seed).frames for seed in (3, 3, 4))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_rollout_samples_actions_and_restarts_the_policy() -> None:
+    policy = Recorder()
+    film("HC0", 0.1, policy=policy, seed=5)
+    film("HC0", 0.1, policy=policy, seed=5)
+    once, again = policy.calls[: len(policy.calls) // 2], policy.calls[len(policy.calls) // 2 :]
+    assert once == again
+    assert isinstance(once[0], int)
+    assert once[1:] == ["sampled"] * 4
+
+
+def test_rollout_ends_with_the_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    make_vec = silem.make_vec
+    whole = film("HC0", 0.2).frames
+    monkeypatch.setattr(silem, "make_vec", lambda *a, **k: make_vec(*a, **k, max_steps=5))
+    cut = film("HC0", 0.2).frames
+    assert np.array_equal(cut, whole[:3])  # after 0, 2 and 4 steps; the fifth ends the episode
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_rollout_refuses_a_duration_that_is_none(duration_s: float) -> None:
+    with pytest.raises(SilemError, match="positive number of seconds"):
+        film("HC0", duration_s)
+
+
+def test_rollout_refuses_an_unknown_body() -> None:
+    with pytest.raises(SilemError, match="unknown body 'HC9'"):
+        film("HC9", 0.1)
+
+
+def orange_width(picture: np.ndarray) -> int:
+    """How many columns show the link that sets the body apart."""
+    red, green, blue = (picture[:, :, i].astype(int) for i in range(3))
+    return int(((red - blue > 80) & (red > green + 40)).any(axis=0).sum())
+
+
+def test_stills_at_one_span_are_to_scale() -> None:
+    widths = [orange_width(rendering.still(name, 300, 200, 4.5)) for name in ("HC0", "HC1", "HC2")]
+    steps = np.diff(widths)
+    assert steps[0] > 30
+    assert steps[0] == pytest.approx(steps[1], abs=3)  # each torso is a metre longer
+
+
+def test_gallery_has_a_picture_for_every_body() -> None:
+    names = bodies.names("halfcheetah")
+    figure = rendering.gallery(names, span_m=4.5, n_columns=2)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["HC0: 1 m", "HC1: 2 m", "HC2: 3 m", ""]
+    assert [len(axes.images) for axes in figure.axes] == [1, 1, 1, 0]

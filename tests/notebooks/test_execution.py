@@ -1,0 +1,220 @@
+"""The notebooks through papermill, with parameters, on a made-up study: what the pages show.
+
+`pytest --nbmake notebooks` runs them with their defaults on the repository's own records; here the
+parameters differ, the data folder is another one, and the outputs are looked at.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import papermill
+import pytest
+import synthetic_records as synthetic
+from conftest import MISSING, Execute, glue_roles, output, said
+
+from silem import bodies, paper
+from silem.bodies.describe import describe
+from silem.config import RunConfig
+from silem.report import claims, results, scorecard, style
+from silem.report.features import feature_names
+from silem.study import runs
+
+PAGES = ("05_halfcheetah", "06_affine_or_mlp", "07_scorecard")
+
+
+@pytest.fixture(autouse=True)
+def data_folder(data_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the tests' own look-ups read the folder that the notebooks read."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(data_dir))
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    """The content of everything that is committed as evidence, to see whether it changes."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for name in ("results", "demonstrations")
+        for path in sorted((folder / name).rglob("*"))
+        if path.is_file()
+    }
+
+
+def video(html: str, folder: Path) -> tuple[dict, int]:
+    """The one video that a cell embeds: its properties and how many frames it has."""
+    assert "http" not in html  # nothing is fetched from anywhere
+    (data,) = re.findall(r'src="data:video/mp4;base64,([^"]+)"', html)
+    assert 'poster="data:image/png;base64,' in html
+    path = folder / "video.mp4"
+    path.write_bytes(base64.b64decode(data))
+    frames, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    reader = imageio_ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    reader.close()
+    assert (meta["codec"], meta["pix_fmt"][:7]) == ("h264", "yuv420p")
+    return meta, frames
+
+
+def words(text: str) -> str:
+    """What is read: the text without its markup."""
+    return " ".join(re.sub(r"<style.*?</style>|<[^>]*>", " ", text, flags=re.DOTALL).split())
+
+
+def in_words(value: float) -> str:
+    """A number as sentences write it."""
+    return style.number(value) if abs(value) >= 100 else f"{value:.2f}".replace("-", "−")
+
+
+def test_bodies(execute: Execute, tmp_path: Path) -> None:
+    page = execute("01_bodies", body="Ant6", seed=3, video_s=0.2)
+    for cell_id, n_bodies in (("fig-2a", 3), ("fig-2c", 7)):
+        assert output(page, cell_id).count("<image ") == n_bodies
+    table = words(output(page, "differs"))
+    for name in bodies.names():
+        length_m = bodies.get(name).length[1]
+        assert re.search(rf"{name} \D+ {length_m:.2f} {describe(name)['total_mass_kg']:.2f}", table)
+    assert "Ant0 Ant1" in words(output(page, "lengths"))  # the family of the body asked for
+    joints = words(output(page, "joints"))
+    assert joints.startswith("joint of Ant6")
+    assert re.search(r"ankle_4 0\.52 1\.75 250\.00", joints)
+    meta, frames = video(output(page, "clip"), tmp_path)
+    assert meta["size"] == (640, 480)
+    assert frames == 6
+
+
+def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
+    before = hashes(data_dir)
+    page = execute("02_experts", body="HC1", seed=7, video_s=0.2)
+    assert hashes(data_dir) == before  # a tiny budget touches nothing that is committed
+    config = RunConfig.create("HC1", "ppo", budget="tiny", seed=7)
+    record = runs.find(config.run_id)
+    assert record is not None
+    assert record.folder == data_dir / "runs" / "halfcheetah" / config.run_id
+    spoken = said(page)
+    assert spoken["return_here"] == in_words(record.evaluation["return_mean"])
+    frame = results.load_records("halfcheetah", "book")
+    expert = results.scores(frame, "ppo", "HC0", "return_mean").mean()
+    assert spoken["expert_return"] == in_words(expert)
+    assert spoken["random_return"] == in_words(
+        results.scores(frame, "random", "HC0", "return_mean").mean()
+    )
+    assert glue_roles(page) <= spoken.keys()
+    assert config.run_id in words(output(page, "settings"))
+    for cell_id in ("curve", "experts", "curves"):
+        assert output(page, cell_id).startswith("<svg")
+    assert "18 runs" in words(output(page, "experts-runs"))
+    _, frames = video(output(page, "video"), tmp_path)
+    assert frames == 6
+
+
+def test_demonstrations(execute: Execute, data_dir: Path) -> None:
+    before = hashes(data_dir)
+    page = execute("03_demonstrations", n_trajectories=1, window_s=0.5)
+    assert hashes(data_dir) == before
+    expert = RunConfig.create("HC0", "ppo", budget="book").run_id
+    assert output(page, "expert") == repr(expert)
+    path = data_dir / "runs" / "notebooks" / f"demonstrations_{expert}.npz"
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert f"HC0 26 features, 1 episodes, SHA-256 {digest[:12]}" in output(page, "save")
+    assert re.search(r"0 1,001 26 −?[\d,]+", words(output(page, "record")))
+    distribution = words(output(page, "distribution"))
+    assert all(f"{name} " in distribution for name in feature_names("HC0"))
+    assert "HC0 a random policy 20" in words(output(page, "manifest"))
+
+
+def test_demonstrations_without_an_expert(execute: Execute) -> None:
+    page = execute("03_demonstrations", body="HC1", budget="paper", n_trajectories=1)
+    assert re.fullmatch(r"'ppo_HC1_tiny-2_s0_\w+'", output(page, "expert"))
+
+
+def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
+    before = hashes(data_dir)
+    page = execute("04_imitate", body="HC1", method="silem", seed=3, video_s=0.2)
+    assert hashes(data_dir) == before
+    config = RunConfig.create("HC1", "silem", "HC0", "tiny", 3)
+    record = runs.find(config.run_id)
+    assert record is not None
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    assert spoken["disc_reward"] == in_words(record.evaluation["disc_reward_mean"])
+    best = paper.best_combination("HC1", "silem", "HC0")
+    settings = words(output(page, "config"))
+    assert config.run_id in settings
+    assert f"n_trajectories {best['n_trajectories']} {best['n_trajectories']}" in settings
+    assert output(page, "curve").startswith("<svg")
+    assert output(page, "transform").startswith("<svg")
+    _, frames = video(output(page, "video"), tmp_path)
+    assert frames == 6
+
+
+def test_halfcheetah(execute: Execute, tmp_path: Path) -> None:
+    page = execute("05_halfcheetah", bootstrap_seed=1, video_s=0.2)
+    frame = results.load_records("halfcheetah", "book")
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    for method in ("silem", "silem-minus", "silem-minus-own"):
+        for body in ("HC0", "HC1", "HC2"):
+            score = results.scores(frame, method, body).mean()
+            assert spoken[f"{method.replace('-', '_')}_{body}"] == in_words(score)
+    for cell_id in ("fig-2b", "gaits", "curves", "transforms"):
+        assert output(page, cell_id).startswith("<svg")
+        assert "commit 0123456" in words(output(page, f"{cell_id}-runs"))
+    missing = words(output(page, "missing"))
+    absent = 5 * len(MISSING) - sum(MISSING.values())
+    assert missing.count("python -m silem run") == absent
+    meta, _ = video(output(page, "video"), tmp_path)
+    assert meta["size"] == (2 * 640 + 8, 480)
+    assert "SILEM | SILEM⁻ (HC0 expert)" in words(output(page, "video"))
+
+
+def test_affine_or_mlp(execute: Execute) -> None:
+    page = execute("06_affine_or_mlp", budget="book")
+    rows = {row["f"]: row for row in paper.table("tab1").rows}
+    table = words(output(page, "table"))
+    for name, row in rows.items():
+        printed = [style.number(row[key]) for key in row if key != "f"]
+        assert re.search(rf"{name} {printed[0]} .*{printed[1]} ", table)
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    frame = results.load_records("halfcheetah", "book")
+    affine = results.scores(frame, "silem", "HC0", "return_mean")
+    assert spoken["silem_return"] == in_words(float(affine.mean()))
+    assert spoken["mlp_return"] == "–"  # its trials are among the missing ones
+    assert np.isclose(affine.mean(), synthetic.EXPERT_RETURNS["HC0"] * 0.93, rtol=0.1)
+
+
+def test_scorecard(execute: Execute) -> None:
+    page = execute("07_scorecard", budget="book")
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    verdicts = scorecard.counts(results.load_records("halfcheetah", "book"))
+    told = [int(spoken[key]) for key in ("n_hold", "n_fail", "n_undecided")]
+    assert told == [verdicts[name] for name in (claims.HOLDS, claims.FAILS, claims.UNDECIDED)]
+    assert sum(told) == int(spoken["n_claims"]) == len(claims.CLAIMS)
+    table = words(output(page, "scorecard"))
+    assert all(claim.text in table for claim in claims.CLAIMS)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
+    page = execute(name, budget="paper")  # no run of the made-up study has this budget
+    text = words("".join(output(page, cell.id) for cell in page.cells if cell.cell_type == "code"))
+    assert "budget paper" in text
+    assert "0 runs" in text
+    if name == "05_halfcheetah":
+        assert set(said(page).values()) == {"–"}
+        assert "No policy of SILEM on HC2 has been published" in text
+    if name == "07_scorecard":
+        assert said(page)["n_undecided"] == str(len(claims.CLAIMS))
+
+
+def test_papermill_stops_at_an_unknown_parameter(execute: Execute) -> None:
+    with pytest.raises(papermill.PapermillExecutionError) as caught:
+        execute("07_scorecard", budgt="book", budget=3)
+    assert caught.value.ename == "SilemError"
+    assert "unknown parameter 'budgt'" in caught.value.evalue
+    assert "budget = 3 is not one of tiny, quick, book, paper" in caught.value.evalue

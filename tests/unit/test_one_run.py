@@ -1,0 +1,94 @@
+"""Figures of one trajectory and of one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic_records as synthetic
+from matplotlib.figure import Figure
+
+from silem.config import RunConfig
+from silem.demonstrations import Demonstrations
+from silem.envs.simulator import STEP_S
+from silem.errors import SilemError
+from silem.report import one_run
+from silem.report.features import feature_names
+
+
+def demonstrations(body: str, n_states: int = 40) -> Demonstrations:
+    values = np.zeros((n_states, len(feature_names(body))), np.float32)
+    return Demonstrations((values,), (0.0,), body, "made up")
+
+
+def labels(figure: Figure) -> list[list[str]]:
+    return [[str(line.get_label()) for line in axes.lines] for axes in figure.axes]
+
+
+def test_every_feature_is_drawn_once_whatever_the_body() -> None:
+    for body, n_joints, n_feet in (("HC0", 6, 6), ("Ant0", 8, 4)):
+        torso, angles, velocities, _ = labels(one_run.trajectory(demonstrations(body)))
+        contacts = one_run.trajectory(demonstrations(body)).axes[3].get_yticklabels()
+        assert "forward velocity" in torso
+        assert angles == velocities
+        assert (len(torso), len(angles), len(contacts)) == (8, n_joints, n_feet)
+
+
+def test_contacts_become_one_bar_per_touch() -> None:
+    shown = demonstrations("HC0")
+    foot = feature_names("HC0").index("back foot contact")
+    shown.features[0][[3, 4, 5, 9], foot] = 1
+    axes = one_run.trajectory(shown).axes[3]
+    row = [tick.get_text() for tick in axes.get_yticklabels()].index("back foot")
+    boxes = [path.get_extents() for path in axes.collections[row].get_paths()]
+    spans = [(box.x0 / STEP_S, box.x1 / STEP_S) for box in boxes]
+    assert np.allclose(spans, [(3, 6), (9, 10)])
+    assert all(
+        len(collection.get_paths()) == 0
+        for index, collection in enumerate(axes.collections)
+        if index != row
+    )
+
+
+def test_trajectory_shows_the_seconds_asked_for() -> None:
+    figure = one_run.trajectory(demonstrations("HC0"), duration_s=10 * STEP_S)
+    assert len(figure.axes[0].lines[0].get_xdata()) == 10
+
+
+def test_trajectory_refuses_what_is_not_there() -> None:
+    with pytest.raises(SilemError, match="trajectory 1 of 1"):
+        one_run.trajectory(demonstrations("HC0"), index=1)
+    odd = Demonstrations((np.zeros((5, 7), np.float32),), (0.0,), "HC0", "")
+    with pytest.raises(SilemError, match="7 features, HC0 has 26"):
+        one_run.trajectory(odd)
+
+
+@pytest.fixture
+def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    return synthetic.write_record
+
+
+def test_curve_shows_what_the_run_knows(record) -> None:
+    expert = one_run.curve(record(RunConfig.create("HC0", "ppo")))
+    assert [axes.get_title(loc="left") for axes in expert.axes] == [
+        "return of an episode", "forward speed (m/s)", "policy's standard deviation",
+    ]  # fmt: skip
+    imitator = one_run.curve(record(RunConfig.create("HC0", "silem")))
+    titles = [axes.get_title(loc="left") for axes in imitator.axes]
+    assert "discriminator reward of an episode" in titles
+
+
+def test_transform_is_drawn_feature_by_feature(record) -> None:
+    figure = one_run.transform(record(RunConfig.create("HC2", "silem")))
+    left, right = figure.axes
+    assert [tick.get_text() for tick in left.get_yticklabels()] == feature_names("HC2")
+    marks = [axes.lines[-1].get_xdata() for axes in (left, right)]
+    assert [len(values) for values in marks] == [26, 26]
+    assert abs(np.mean(marks[0]) - 1) < 0.2 < abs(np.mean(marks[0]) - np.mean(marks[1]))
+
+
+def test_transform_of_a_run_without_one_is_an_error(record) -> None:
+    with pytest.raises(SilemError, match=r"transform\.npz"):
+        one_run.transform(record(RunConfig.create("HC0", "silem-minus")))
