@@ -51,7 +51,8 @@ class LocomotionTask:
             body: The body.
             limits: Lower and upper limit in rad of each motor's joint.
         """
-        self._rule = body.alive
+        self._terminates = body.alive.terminates
+        self._min_height_m, self._max_pitch_rad = body.alive.min_height_m, body.alive.max_pitch_rad
         self._no_contact = [body.feet.index(name) for name in body.alive.no_contact]
         self._weights = [part.weight / body.n_parts for part in body.parts]
         scales = [2 / (upper - lower) for lower, upper in limits]
@@ -66,9 +67,7 @@ class LocomotionTask:
         self._return = 0.0
         self._contact = self._no_foot
         self._start_x_m, _, self._start_height_m = self._position = state.parts[0]
-        observation, self._distance_m = self._observe_root(state)
-        self._observe_joints(observation, state, self._at_rest)
-        observation += self._contact
+        observation, self._distance_m, _ = self._observe(state, self._at_rest)
         return observation
 
     def step(self, action: Sequence[float], state: State) -> tuple[list[float], float]:
@@ -81,12 +80,10 @@ class LocomotionTask:
         Returns:
             Observation (O,), not yet clipped, and reward.
         """
-        observation, distance_m = self._observe_root(state)
-        reward = (self._distance_m - distance_m) / STEP_S
-        reward += self._observe_joints(observation, state, action)
-        observation += self._contact
+        observation, distance_m, costs = self._observe(state, action)
         self.upright = upright = self._is_upright(state)
-        reward += 1.0 if upright else -1.0
+        progress = (self._distance_m - distance_m) / STEP_S
+        reward = progress + costs + (1.0 if upright else -1.0)
         self.exploded = not math.isfinite(reward)
         if self.exploded:
             observation, reward = [0.0] * len(observation), -1.0
@@ -102,7 +99,7 @@ class LocomotionTask:
     @property
     def terminated(self) -> bool:
         """Whether the last step ended the episode: by the alive rule, or the physics exploded."""
-        return self.exploded or (self._rule.terminates and not self.upright)
+        return self.exploded or (self._terminates and not self.upright)
 
     def summary(self) -> dict[str, float]:
         """Return the episode so far: return `r`, length `l`, `speed_m_s` and `upright`."""
@@ -115,25 +112,24 @@ class LocomotionTask:
         }
 
     def _is_upright(self, state: State) -> bool:
-        rule, contact = self._rule, self._contact
-        return (
-            state.parts[0][2] > rule.min_height_m
-            and abs(state.rpy[1]) < rule.max_pitch_rad
-            and not any([contact[foot] for foot in self._no_contact])
-        )
+        if not (state.parts[0][2] > self._min_height_m and abs(state.rpy[1]) < self._max_pitch_rad):
+            return False
+        for foot in self._no_contact:  # a loop, since any() is slower on four items
+            if self._contact[foot]:
+                return False
+        return True
 
-    def _observe_root(self, state: State) -> tuple[list[float], float]:
-        """Return the observation's first eight numbers and the distance to the target in m."""
+    def _observe(self, state: State, action: Sequence[float]) -> tuple[list[float], float, float]:
+        """Return the observation, the distance to the target in m, and the (negative) costs."""
+        joints, (roll, pitch, yaw), (vx, vy, vz), parts, _ = state
         ahead, aside = _TARGET_M, 0.0  # from the mean place of the parts to the target
-        for weight, (x, y, _) in zip(self._weights, state.parts, strict=True):
+        for weight, (x, y, _) in zip(self._weights, parts, strict=True):
             ahead -= weight * x
             aside -= weight * y
         distance = math.hypot(ahead, aside)
-        roll, pitch, yaw = state.rpy
         cos, sin = math.cos(yaw), math.sin(yaw)
-        vx, vy, vz = state.velocity
         observation = [
-            state.parts[0][2] - self._start_height_m,
+            parts[0][2] - self._start_height_m,
             (aside * cos - ahead * sin) / distance,
             (ahead * cos + aside * sin) / distance,
             _VELOCITY_SCALE * (vx * cos + vy * sin),
@@ -142,23 +138,19 @@ class LocomotionTask:
             roll,
             pitch,
         ]
-        return observation, distance
-
-    def _observe_joints(
-        self, observation: list[float], state: State, action: Sequence[float]
-    ) -> float:
-        """Append the joints' numbers to the observation and return what motors and limits cost."""
         power = stall = 0.0
         n_at_limit = 0
-        for joint, (scale, shift), command in zip(state.joints, self._ranges, action, strict=True):
+        for joint, (scale, shift), command in zip(joints, self._ranges, action, strict=True):
             angle = joint[0] * scale + shift
             velocity = joint[1] * _JOINT_VELOCITY_SCALE
             observation += (angle, velocity)
             power += abs(command * velocity)
             stall += command * command
-            n_at_limit += abs(angle) > _AT_LIMIT
-        costs = _ELECTRICITY_COST * power + _STALL_COST * stall
-        return costs / len(self._ranges) + _LIMIT_COST * n_at_limit
+            if not -_AT_LIMIT <= angle <= _AT_LIMIT:
+                n_at_limit += 1
+        observation += self._contact
+        costs = (_ELECTRICITY_COST * power + _STALL_COST * stall) / len(action)
+        return observation, distance, costs + _LIMIT_COST * n_at_limit
 
 
 def as_observations(observations: Sequence[Sequence[float]] | Sequence[float]) -> np.ndarray:
