@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def test_ants_reach_grows_by_their_innermost_link(index: int):
 def test_masses_are_those_pybullet_uses():
     masses = [bodies.describe(name)["masses_kg"] for name in ("HC0", "HC1", "HC2")]
     metre_of_torso = WATER_KG_M3 * math.pi * 0.046**2
-    for lighter, heavier in zip(masses, masses[1:], strict=False):
+    for lighter, heavier in itertools.pairwise(masses):
         difference = {link: heavier[link] - lighter[link] for link in lighter}
         assert difference.pop("torso") == pytest.approx(metre_of_torso, rel=1e-6)
         assert difference == dict.fromkeys(difference, 0.0)

@@ -99,6 +99,15 @@ def test_pictures_differ_with_the_pose_and_repeat_without_it():
         env.render("human")
 
 
+def test_taking_pictures_leaves_the_physics_alone():
+    watched, alone = make_vec("Ant1", 1), make_vec("Ant1", 1)
+    watched.reset()
+    alone.reset()
+    for action in np.random.default_rng(0).uniform(-1, 1, (20, 1, 8)):
+        watched.render()
+        np.testing.assert_array_equal(watched.step(action)[0], alone.step(action)[0])
+
+
 def test_rays_hit_side_caps_and_spheres_where_geometry_says():
     eye = np.array([0.0, -5.0, 0.0])
     start, end = np.array([-1.0, 0, 0]), np.array([1.0, 0, 0])
