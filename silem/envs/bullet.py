@@ -159,15 +159,14 @@ class BulletVecEnv(VecEnv):
         states = [simulator.read() for simulator in self.simulators]
         moves = zip(self._tasks, actions, states, strict=True)
         results = [task.step(action, state) for task, action, state in moves]
-        observations = as_observations([observation for observation, _ in results])
-        rewards = np.array([reward for _, reward in results], dtype=np.float32)
-        dones = [task.terminated or task.length >= self.max_steps for task in self._tasks]
+        raw_observations, rewards, dones = zip(*results, strict=True)
+        observations = as_observations(raw_observations)
         infos: list[dict[str, Any]] = [{} for _ in dones]
-        for index, done in enumerate(dones):
-            if done:
+        if True in dones:
+            for index in np.flatnonzero(dones).tolist():
                 infos[index] = self._last_info(index, observations[index].copy())
                 observations[index] = self._begin(index)
-        return observations, rewards, np.array(dones), infos
+        return observations, np.array(rewards, dtype=np.float32), np.array(dones), infos
 
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment.
@@ -230,7 +229,9 @@ class BulletVecEnv(VecEnv):
         self._generators = self._next_generators or self._generators
         self._next_generators = []
         self.simulators = [Simulator(self.body) for _ in range(self.num_envs)]
-        self._tasks = [LocomotionTask(self.body, sim.limits) for sim in self.simulators]
+        self._tasks = [
+            LocomotionTask(self.body, sim.limits, self.max_steps) for sim in self.simulators
+        ]
 
     def _begin(self, index: int) -> np.ndarray:
         """Start an episode of one environment and return its first observation (O,)."""

@@ -76,8 +76,8 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._simulator is None:
             raise SilemError("step before reset")
         self._simulator.advance(row)
-        observation, reward = self._task.step(row, self._simulator.read())
-        return as_observations(observation), reward, self._task.terminated, False, {}
+        observation, reward, fallen = self._task.step(row, self._simulator.read())
+        return as_observations(observation), reward, fallen, False, {}
 
     def render(self) -> np.ndarray | None:
         """Return a picture (H, W, 3), uint8, or None without a render mode.

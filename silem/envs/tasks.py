@@ -39,18 +39,21 @@ class LocomotionTask:
 
     Attributes:
         length: Steps since the episode began.
-        upright: Whether the body was upright after the last step.
-        exploded: Whether the last step left numbers that are not finite; the observation is then
-            zero and the reward -1.
+        terminated: Whether the last step ended the episode, by the alive rule or because it left
+            numbers that are not finite; the observation is then zero and the reward -1.
     """
 
-    def __init__(self, body: Body, limits: Sequence[tuple[float, float]]) -> None:
+    def __init__(
+        self, body: Body, limits: Sequence[tuple[float, float]], max_steps: float = math.inf
+    ) -> None:
         """Prepare the task.
 
         Args:
             body: The body.
             limits: Lower and upper limit in rad of each motor's joint.
+            max_steps: Steps after which an episode ends without having terminated.
         """
+        self._max_steps = max_steps
         self._terminates = body.alive.terminates
         self._min_height_m, self._max_pitch_rad = body.alive.min_height_m, body.alive.max_pitch_rad
         self._no_contact = [body.feet.index(name) for name in body.alive.no_contact]
@@ -63,14 +66,14 @@ class LocomotionTask:
     def begin(self, state: State) -> list[float]:
         """Start an episode and return its first observation (O,), not yet clipped."""
         self.length = self._n_upright = 0
-        self.upright, self.exploded = True, False
+        self.terminated = False
         self._return = 0.0
         self._contact = self._no_foot
         self._start_x_m, _, self._start_height_m = self._position = state.parts[0]
         observation, self._distance_m, _ = self._observe(state, self._at_rest)
         return observation
 
-    def step(self, action: Sequence[float], state: State) -> tuple[list[float], float]:
+    def step(self, action: Sequence[float], state: State) -> tuple[list[float], float, bool]:
         """Score one step.
 
         Args:
@@ -78,28 +81,23 @@ class LocomotionTask:
             state: What the simulator holds after the step.
 
         Returns:
-            Observation (O,), not yet clipped, and reward.
+            Observation (O,), not yet clipped, reward, and whether the episode ends here.
         """
         observation, distance_m, costs = self._observe(state, action)
-        self.upright = upright = self._is_upright(state)
+        upright = self._is_upright(state)
         progress = (self._distance_m - distance_m) / STEP_S
         reward = progress + costs + (1.0 if upright else -1.0)
-        self.exploded = not math.isfinite(reward)
-        if self.exploded:
-            observation, reward = [0.0] * len(observation), -1.0
+        self.terminated = self._terminates and not upright
+        if not math.isfinite(reward):  # the physics exploded
+            observation, reward, self.terminated = [0.0] * len(observation), -1.0, True
         else:
             self._position = state.parts[0]
         self._distance_m = distance_m
         self._contact = state.contact
         self._n_upright += upright
         self._return += reward
-        self.length += 1
-        return observation, reward
-
-    @property
-    def terminated(self) -> bool:
-        """Whether the last step ended the episode: by the alive rule, or the physics exploded."""
-        return self.exploded or (self._terminates and not self.upright)
+        self.length = length = self.length + 1
+        return observation, reward, self.terminated or length >= self._max_steps
 
     def summary(self) -> dict[str, float]:
         """Return the episode so far: return `r`, length `l`, `speed_m_s` and `upright`."""

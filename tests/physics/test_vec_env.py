@@ -201,7 +201,8 @@ def test_exploded_physics_end_the_episode():
     env.reset()
     task, state = env._tasks[0], env.simulators[0].read()
     broken = state._replace(velocity=(math.nan, 0.0, 0.0), parts=[(math.nan,) * 3] * 5)
-    observation, reward = task.step([0.0] * 6, broken)
+    observation, reward, ended = task.step([0.0] * 6, broken)
+    assert ended
     assert task.terminated
     assert observation == [0.0] * 26
     assert reward == -1.0
