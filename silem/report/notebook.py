@@ -12,7 +12,8 @@ import ast
 import base64
 import html
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain, groupby
 from numbers import Integral, Real
 from types import SimpleNamespace
 from typing import Any
@@ -20,10 +21,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from IPython.display import HTML, SVG, display
+from IPython.display import Image as DisplayedImage
 from matplotlib.figure import Figure
 from myst_nb import glue
 from pandas.io.formats.style import Styler
 
+from silem.config import TRIAL_SEEDS
 from silem.errors import SilemError
 from silem.report import results, style, tables
 from silem.report.rendering import Clip, encode_mp4, encode_png, rollout, side_by_side
@@ -40,10 +43,10 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
         p = parameters(globals(), body=bodies.names(), budget=list(BUDGETS), seed=int)
 
-    Inside Jupyter, papermill and nbmake, the names checked are those assigned in cells that hold
-    nothing but assignments of literals: the ``parameters`` cell, the one papermill injects, and
-    any typed by hand. Variables of later cells are therefore no parameters, and the cell can be
-    run again at any time. A mapping that no notebook stands behind is checked whole.
+    Inside Jupyter, papermill and nbmake, the names checked are those assigned by the last cells
+    that held nothing but assignments of literals: the ``parameters`` cell and the one papermill
+    injects after it. Variables of other cells are therefore no parameters, and the cell can be run
+    again at any time. A mapping that no notebook stands behind is checked whole.
 
     Args:
         namespace: The notebook's ``globals()``, or a dict of parameters.
@@ -76,35 +79,36 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
 
 def _given_names(namespace: Mapping[str, Any]) -> list[str]:
-    """Names set as parameters, in order: from the literal-only cells if there are any cells."""
+    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
     if "get_ipython" not in namespace:
         return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
-    cells = namespace.get("In", [])
-    names = (name for source in cells for name in _literal_assignments(source))
+    assigned = [literal_assignments(source) for source in namespace.get("In", [])]
+    neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
+    names = chain(*neighbours[-1]) if neighbours else ()
     return [name for name in dict.fromkeys(names) if name in namespace]
 
 
-def _literal_assignments(source: str) -> Iterator[str]:
-    """Yield the names a cell assigns, if it does nothing but assign literals to names."""
+def literal_assignments(source: str) -> list[str]:
+    """Return the names that a cell assigns, if it does nothing but assign literals, else []."""
     try:
         statements = ast.parse(source).body
     except SyntaxError:
-        return
+        return []
     names = []
     for statement in statements:
         if not isinstance(statement, ast.Assign | ast.AnnAssign):
-            return
+            return []
         if not _is_literal(statement.value):
-            return
+            return []
         targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
         names += [target.id for target in targets if isinstance(target, ast.Name)]
-    yield from names
+    return names
 
 
 def _is_literal(node: ast.expr | None) -> bool:
     """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
-        return True
+        return all(isinstance(argument, ast.Constant) for argument in node.args)
     try:
         ast.literal_eval(node)  # type: ignore[arg-type]
     except (ValueError, TypeError):
@@ -137,6 +141,11 @@ def show(figure: Figure) -> None:
     a captioned cell may have one output only.
     """
     _display(SVG(style.svg(figure)))  # type: ignore[no-untyped-call]
+
+
+def show_picture(picture: np.ndarray) -> None:
+    """Display a picture (H, W, 3)."""
+    _display(DisplayedImage(data=encode_png(picture)))  # type: ignore[no-untyped-call]
 
 
 def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
@@ -186,8 +195,8 @@ def play_first_trials(
 ) -> None:
     """Film the first trial of each method on a body, side by side, from the saved policies.
 
-    The first trial rather than the best one: which it is was fixed before any run was made. What
-    cannot be filmed, because no run is there yet, is named instead.
+    The first trial rather than the best one: its seed was fixed before any run was made. What
+    cannot be filmed, because that run is not there yet, is named instead.
 
     Args:
         records: Runs of one study at one budget, from `silem.report.results.load_records`.
@@ -198,8 +207,9 @@ def play_first_trials(
     clips = {}
     for method in methods:
         label = style.method(method, results.body_names(records)[0]).label
-        trials = results.cell(records, method, body).sort_values("seed")["run_id"]
-        record = results.find(trials.iloc[0]) if len(trials) else None
+        trials = results.cell(records, method, body)
+        first = trials.loc[trials["seed"] == TRIAL_SEEDS[0], "run_id"]
+        record = results.find(first.iloc[0]) if len(first) else None
         if record is None or POLICY not in record.files:
             text = f"No policy of {label} on {body} has been published at this budget yet."
             _display_html(f"<p><em>{html.escape(text)}</em></p>")

@@ -107,11 +107,16 @@ def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> Figure:
     return figure
 
 
-def strip(clip: Clip, n_frames: int = 6) -> np.ndarray:
-    """Lay equally spaced frames of a clip side by side, from first to last.
+def strip(clip: Clip, n_frames: int = 5, width: int = 1500) -> np.ndarray:
+    """Lay equally spaced frames of a clip side by side, from first to last: a video on paper.
+
+    Args:
+        clip: The clip.
+        n_frames: How many frames.
+        width: Of the whole picture, in pixels; the height follows.
 
     Returns:
-        The picture (H, n_frames * W, 3).
+        The picture (H, width, 3).
 
     Raises:
         SilemError: The clip has fewer frames than asked for, or none are asked for.
@@ -119,7 +124,9 @@ def strip(clip: Clip, n_frames: int = 6) -> np.ndarray:
     if not 1 <= n_frames <= len(clip.frames):
         raise SilemError(f"a strip of {n_frames} frames from a clip of {len(clip.frames)}")
     chosen = np.linspace(0, len(clip.frames) - 1, n_frames).round().astype(int)
-    return np.concatenate(list(clip.frames[chosen]), axis=1)
+    whole = Image.fromarray(np.concatenate(list(clip.frames[chosen]), axis=1))
+    height = max(1, round(whole.height * width / whole.width))
+    return np.asarray(whole.resize((width, height), Image.Resampling.LANCZOS))
 
 
 def rollout(

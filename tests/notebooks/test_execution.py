@@ -84,6 +84,8 @@ def test_bodies(execute: Execute, tmp_path: Path) -> None:
     meta, frames = video(output(page, "clip"), tmp_path)
     assert meta["size"] == (640, 480)
     assert frames == 6
+    (strip,) = [cell for cell in page.cells if cell.id == "strip"]
+    assert base64.b64decode(strip.outputs[0].data["image/png"]).startswith(b"\x89PNG")
 
 
 def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:

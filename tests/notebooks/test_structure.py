@@ -12,7 +12,7 @@ import pytest
 from conftest import NOTEBOOKS
 
 from silem.errors import SilemError
-from silem.report.notebook import _literal_assignments
+from silem.report.notebook import literal_assignments
 
 MAX_CODE_LINES = 15
 MAX_DOOR_LINES = 22  # the third cell: imports and parameters
@@ -80,7 +80,7 @@ def test_parameters_are_typed_literals_each_with_an_explanation(path: Path) -> N
 @every_notebook
 def test_only_the_second_cell_sets_parameters(path: Path) -> None:
     # The strict door takes every cell of nothing but literals for parameters.
-    first, *others = [list(_literal_assignments(cell.source)) for cell in code_cells(path)]
+    first, *others = [literal_assignments(cell.source) for cell in code_cells(path)]
     assert first
     assert not any(others)
 

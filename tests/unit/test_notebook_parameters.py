@@ -76,11 +76,20 @@ def test_in_a_notebook_variables_of_other_cells_are_no_parameters() -> None:
     assert vars(parameters(given, body=str)) == {"body": "HC0"}
 
 
-def test_in_a_notebook_every_literal_cell_sets_parameters() -> None:
+def test_in_a_notebook_the_injected_cell_sets_parameters_too() -> None:
     cells = ['body: str = "HC0"  # the body', "# Parameters\nrate = float('nan')\nlist_ = [-1]"]
     given = in_notebook(*cells, body="HC0", rate=float("nan"), list_=[-1])
     with pytest.raises(SilemError, match=r"'rate'; unknown parameter 'list_'"):
         parameters(given, body=str)
+
+
+def test_in_a_notebook_the_door_can_be_run_again() -> None:
+    wrong, door, right = "sede = 7", "import silem\np = door()", "seed = 7"
+    mended = in_notebook(wrong, door, right, door, sede=7, seed=7)
+    assert vars(parameters(mended, seed=int)) == {"seed": 7}
+    unmended = in_notebook(right, wrong, door, door, sede=7, seed=7)
+    with pytest.raises(SilemError, match="unknown parameter 'sede'"):
+        parameters(unmended, seed=int)
 
 
 @pytest.fixture

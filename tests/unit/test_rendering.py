@@ -84,11 +84,15 @@ def test_png_round_trips() -> None:
 
 def test_strip_takes_first_and_last_and_equal_steps_between() -> None:
     clip = gradient_clip(n_frames=13)
-    picture = rendering.strip(clip, 4)
+    picture = rendering.strip(clip, 4, width=4 * 120)
     assert picture.shape == (90, 4 * 120, 3)
     parts = np.split(picture, 4, axis=1)
     for part, index in zip(parts, (0, 4, 8, 12), strict=True):
         assert np.array_equal(part, clip.frames[index])
+
+
+def test_strip_is_as_wide_as_asked_for() -> None:
+    assert rendering.strip(gradient_clip(), 4, width=240).shape == (45, 240, 3)
 
 
 @pytest.mark.parametrize("n_frames", [0, 13])

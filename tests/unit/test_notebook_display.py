@@ -1,0 +1,56 @@
+"""How the notebooks show tables and say numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from silem.report import notebook
+
+
+def cells(frame: pd.DataFrame, digits: int | None = None) -> list[list[str]]:
+    return notebook.table(frame, digits).data.to_numpy().tolist()
+
+
+def test_table_writes_numbers_for_readers() -> None:
+    frame = pd.DataFrame({"n": [1001, -2], "x": [-0.001, 12345.678], "text": ["a<b", "c"]})
+    assert cells(frame, digits=2) == [["1,001", "0.00", "a&lt;b"], ["−2", "12,345.68", "c"]]
+
+
+def test_table_without_digits_keeps_numbers_as_they_are() -> None:
+    frame = pd.DataFrame({"value": [2e-4, 0.99, 64, [64, 64], True, None]}, dtype=object)
+    assert [row[0] for row in cells(frame)] == ["0.0002", "0.99", "64", "[64, 64]", "True", "None"]
+
+
+def test_named_index_becomes_the_first_column_and_an_unnamed_one_is_left_out() -> None:
+    frame = pd.DataFrame({"x": [1]}, index=["row"])
+    assert cells(frame.rename_axis("name")) == [["row", "1"]]
+    assert cells(frame) == [["1"]]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (2249.4, "2,249"),
+        (-1555.0, "−1,555"),
+        (0.914, "0.91"),
+        (-0.04, "−0.04"),
+        (28, "28"),
+        (99.999, "100.00"),
+        (float("nan"), "–"),
+        (None, "–"),
+        (np.array([]), "–"),
+        (np.array([0.25, 0.5]), "0.38"),
+        ("as it is", "as it is"),
+    ],
+)
+def test_sentences_get_numbers_in_words(
+    value: object, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = {}
+    monkeypatch.setattr(
+        notebook, "glue", lambda name, text, display: said.update({name: (text, display)})
+    )
+    notebook.say(number=value)
+    assert said == {"number": (words, False)}
