@@ -71,7 +71,7 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
 
 
 def curve(record: RunRecord) -> Figure:
-    """Draw the learning curve of one run, one panel per quantity that it knows.
+    """Draw the learning curve of one run, a panel for each of the first four quantities it knows.
 
     Raises:
         SilemError: The run has no curve, or its file is damaged.
@@ -81,7 +81,7 @@ def curve(record: RunRecord) -> Figure:
         (title, lines)
         for title, lines in _PANELS
         if title in _ALWAYS or table[list(lines)].notna().to_numpy().any()
-    ]
+    ][:4]
     with style.applied():
         n_columns = 3 if len(panels) == 3 else 2
         n_rows = -(-len(panels) // n_columns)
