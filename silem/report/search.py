@@ -40,6 +40,12 @@ def load(family: str = "halfcheetah") -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def prototype() -> pd.DataFrame:
+    """Return, as text, what a prototype was seen to do before any run was recorded."""
+    entries = files.read_json(paths.REPO / "data" / "search" / "prototype.json")
+    return pd.DataFrame(entries)
+
+
 def table(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, what was set and what it led to, best return first within each body."""
     last = pd.DataFrame([curve.iloc[-1] for curve in frame["curve"]], index=frame.index)
