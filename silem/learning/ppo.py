@@ -130,7 +130,11 @@ class PPO(SB3PPO):
                 actions = actions.reshape(-1, 1)
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
-            self._store(rollout_buffer, step, actions, rewards, values, log_probs)
+            update.store(
+                rollout_buffer, step, observations=self._last_obs, actions=actions,
+                rewards=rewards, episode_starts=self._last_episode_starts, values=values,
+                log_probs=log_probs,
+            )  # fmt: skip
             self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
         rollout_buffer.rewards = self._learning_rewards(rollout_buffer.rewards) + self._bootstrap
         last_values = th.from_numpy(self._values(self._last_obs))
@@ -153,31 +157,6 @@ class PPO(SB3PPO):
             if self._fast is not None:
                 self._fast.refresh_moments()
         self._record_episodes()
-
-    def _store(
-        self,
-        buffer: RolloutBuffer,
-        step: int,
-        actions: np.ndarray,
-        rewards: np.ndarray,
-        values: np.ndarray,
-        log_probs: np.ndarray,
-    ) -> None:
-        """Put one step into the rollout buffer; flat arrays straight into its rows."""
-        observations, starts = self._last_obs, self._last_episode_starts
-        assert observations is not None and starts is not None
-        if self._fast is None:
-            tensors = th.from_numpy(values), th.from_numpy(log_probs)
-            buffer.add(observations, actions, rewards, starts, *tensors)  # type: ignore[arg-type]
-            return
-        buffer.observations[step] = observations
-        buffer.actions[step] = actions
-        buffer.rewards[step] = rewards
-        buffer.episode_starts[step] = starts
-        buffer.values[step] = values
-        buffer.log_probs[step] = log_probs
-        buffer.pos = step + 1
-        buffer.full = buffer.pos == buffer.buffer_size
 
     def _begin_rollout(self, env: VecEnv) -> None:
         """Prepare an imitation learner's own record of the rollout."""

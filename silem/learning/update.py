@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch as th
 from stable_baselines3.common.buffers import RolloutBuffer
 
 from silem.learning.flat_actor_critic import FlatActorCritic, Losses, MiniBatch
@@ -41,6 +43,24 @@ class FlatRollout:
             if normalize_advantage and len(advantages) > 1:
                 advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
             yield MiniBatch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])
+
+
+def store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
+    """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
+
+    ``RolloutBuffer.add`` copies tensors; writing plain arrays into its rows is several times
+    faster. Dictionaries of observations go through ``add``.
+    """
+    if isinstance(rows["observations"], dict):
+        tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))
+        names = ("observations", "actions", "rewards", "episode_starts")
+        buffer.add(*(rows[name] for name in names), *tensors)
+        return
+    for name, row in rows.items():
+        into = getattr(buffer, name)[step]
+        into[...] = np.reshape(row, into.shape)
+    buffer.pos = step + 1
+    buffer.full = buffer.pos == buffer.buffer_size
 
 
 def flatten(buffer: RolloutBuffer, fast: FlatActorCritic) -> FlatRollout:

@@ -23,6 +23,7 @@ from silem import paper
 from silem.budgets import BUDGETS, LONGER, Budget
 from silem.errors import SilemError
 from silem.hyperparameters import METHODS, HyperParameters
+from silem.paper_types import PaperTable
 
 Row = Sequence[str]
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -127,14 +128,14 @@ def _parameter(name: str) -> str:
     return f"`{name}`" if name else ""
 
 
-def _common(table: paper.PaperTable) -> tuple[Row, list[Row]]:
+def _common(table: PaperTable) -> tuple[Row, list[Row]]:
     rows: list[Row] = [
         (r["meaning"], as_text(r["value"]), _parameter(r["parameter"])) for r in table.rows
     ]
     return ("Hyper-parameter", "Value", "Name here"), rows
 
 
-def _grid(table: paper.PaperTable) -> tuple[Row, list[Row]]:
+def _grid(table: PaperTable) -> tuple[Row, list[Row]]:
     rows: list[Row] = []
     for row in table.rows:
         symbol = paper.symbols()[row["symbol"]]
@@ -144,13 +145,13 @@ def _grid(table: paper.PaperTable) -> tuple[Row, list[Row]]:
     return ("Symbol", "Hyper-parameter", "Values", "Name here"), rows
 
 
-def _best(table: paper.PaperTable) -> tuple[Row, list[Row]]:
+def _best(table: PaperTable) -> tuple[Row, list[Row]]:
     known = paper.symbols()
     head = [known[c].latex if c in known else c.capitalize() for c in table.columns]
     return head, [[as_text(row[c]) for c in table.columns] for row in table.rows]
 
 
-def _result(table: paper.PaperTable) -> tuple[Row, list[Row]]:
+def _result(table: PaperTable) -> tuple[Row, list[Row]]:
     head = [c.replace("_", " ") if len(c) > 1 else f"${c}$" for c in table.columns]
     return head, [[as_text(row[c]) for c in table.columns] for row in table.rows]
 
