@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
@@ -11,6 +12,10 @@ import pytest
 import torch as th
 
 th.set_num_threads(1)
+
+# A shell's background job is born deaf to Ctrl-C, and so are its children; the tests send it.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
