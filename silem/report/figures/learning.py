@@ -31,7 +31,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
     running mean over 9 of the curve's at most 200 points. Trials are drawn up to where the
-    shortest ends.
+    shortest ends. Where all runs are experts' there is no row for the discriminator.
 
     Args:
         frame: Runs of one study at one budget.
@@ -39,18 +39,22 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     frame = sources.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
+    # experts have no discriminator, and a row of empty panels would only say so
+    only_experts = drawn == ["ppo"]
+    quantities = {k: v for k, v in _QUANTITIES.items() if not (only_experts and k == "disc_reward")}
     looks = [style.method(m, results.original_body(frame)) for m in drawn]
     with style.applied():
         figure, grid = style.new_figure(
-            6.0, nrows=len(_QUANTITIES), ncols=len(names), sharex="col", sharey="row", squeeze=False
-        )
+            2.0 * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
+            sharey="row", squeeze=False,
+        )  # fmt: skip
         for column, body in enumerate(names):
             curves = {m: _curves(results.cell(frame, m, body)) for m in drawn}
             grid[0, column].set_title(body)
-            for row, quantity in enumerate(_QUANTITIES):
+            for row, quantity in enumerate(quantities):
                 _draw_curves(grid[row, column], curves, quantity)
             grid[-1, column].set_xlabel("million timesteps")
-        for row, label in enumerate(_QUANTITIES.values()):
+        for row, label in enumerate(quantities.values()):
             grid[row, 0].set_ylabel(label)
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
         handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
