@@ -116,7 +116,11 @@ def test_ctrl_c_stops_every_worker(data: Path) -> None:
     while process.poll() is None and len(list(data.rglob("checkpoint.safetensors"))) < 2:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    try:
+        _, errors = process.communicate(timeout=60)
+    finally:  # a campaign deaf to Ctrl-C must not train on behind the failed test
+        process.terminate()
+        process.wait(timeout=60)
     assert process.returncode == 130
     assert "the same command goes on" in errors
     assert "Traceback" not in errors

@@ -91,7 +91,10 @@ def test_stopping_keeps_the_checkpoint_and_exits_with_130(sent: signal.Signals) 
     while process.poll() is None and not checkpoint.exists():
         time.sleep(0.05)
     process.send_signal(sent)
-    _, errors = process.communicate(timeout=60)
+    try:
+        _, errors = process.communicate(timeout=60)
+    finally:  # a run deaf to Ctrl-C must not train on behind the failed test
+        process.kill()
     assert process.returncode == 130
     assert f"its checkpoint is kept); to go on: {config.command}" in errors
     assert "Traceback" not in errors
