@@ -267,11 +267,18 @@ def test_learning_curves_tell_no_run_from_nothing_recorded(
 ) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book"))
+    alone = texts(figures.learning_curves(results.load_records("halfcheetah", "book")))
+    assert (alone.count("no run"), alone.count("not recorded")) == (4, 0)
+    assert "discriminator reward" not in alone
+    synthetic.write_record(RunConfig.create("HC1", "silem", budget="book"))
     figure = figures.learning_curves(results.load_records("halfcheetah", "book"))
     words = texts(figure)
-    assert (words.count("no run"), words.count("not recorded")) == (6, 1)  # no discriminator
+    # nothing ran on HC2; HC0's expert has no discriminator
+    assert (words.count("no run"), words.count("not recorded")) == (3, 1)
+    assert "discriminator reward" in words
     assert len(figure.axes[0].get_yticks()) > 2
-    assert len(figure.axes[3].get_yticks()) == 0  # no curve, no scale
+    empty = figures.learning_curves(results.load_records("no-gradient-penalty", "book"))
+    assert not any(len(axes.get_yticks()) for axes in empty.axes)  # no curve, no scale
 
 
 def test_transforms_mark_each_feature_at_the_trials_mean(frame: pd.DataFrame) -> None:
