@@ -140,7 +140,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
 
 
 def _start(config: RunConfig, folder: Path, sha: str, commit: str) -> Checkpoint:
-    """Return the run's checkpoint, or an empty one; this session's commit joins it."""
+    """Return the run's checkpoint, or an empty one; the present commit joins it."""
     path = folder / CHECKPOINT
     if not path.exists():
         no_curve = np.empty((0, len(curve.COLUMNS)))
