@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from silem.bodies import ant, half_cheetah
-from silem.bodies.body import AliveRule, Body, Motor, Part
+from silem.bodies import ant, half_cheetah, humanoid
+from silem.bodies.body import (
+    AliveRule,
+    Body,
+    BulletBody,
+    Motor,
+    MujocoBody,
+    Part,
+    Skeleton,
+)
 from silem.bodies.describe import describe
 from silem.bodies.registry import get, names, register
 
-__all__ = ["AliveRule", "Body", "Motor", "Part", "describe", "get", "names", "register"]
+__all__ = [
+    "AliveRule",
+    "Body",
+    "BulletBody",
+    "Motor",
+    "MujocoBody",
+    "Part",
+    "Skeleton",
+    "describe",
+    "get",
+    "names",
+    "register",
+]
 
-for _body in (*half_cheetah.BODIES, *ant.BODIES):
+for _body in (*half_cheetah.BODIES, *ant.BODIES, *humanoid.BODIES):
     register(_body)

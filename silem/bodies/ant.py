@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, Body, Motor, Part
+from silem.bodies.body import AliveRule, BulletBody, Motor, Part
 
 LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
 
@@ -31,12 +31,11 @@ def model(offset: float) -> str:
     return xml
 
 
-def body(name: str, offset: float) -> Body:
+def body(name: str, offset: float) -> BulletBody:
     """Return the registry entry of an Ant whose innermost links have the given offset."""
-    return Body(
+    return BulletBody(
         name=name,
         family="ant",
-        engine="bullet",
         description=f"Ant whose links closest to the body have offset {offset:.2f}",
         build=partial(model, offset),
         root="torso",

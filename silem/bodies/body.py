@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
-Family = Literal["halfcheetah", "ant"]
+Family = Literal["halfcheetah", "ant", "humanoid"]
 Engine = Literal["bullet", "mujoco"]
 
 
@@ -55,25 +55,17 @@ class AliveRule:
     terminates: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Body:
-    """One entry of the registry.
+    """One entry of the registry: what every simulator's bodies have.
 
     Attributes:
         name: Name in the paper, for example "HC2".
-        family: Bodies of one family share joints, observation and task.
+        family: Bodies of one family share observation and task.
         engine: Simulator that steps it.
         description: One sentence for tables and figure captions.
         build: Returns the model file's text (MJCF).
-        root: Link whose pose and velocity enter the observation.
-        root_joints: Joints along which a planar root moves (x, z, pitch); empty if it floats.
         motors: The actuators, in the order of the action and of the joints in the model.
-        feet: Links whose floor contact is observed, in the order of the observation.
-        parts: The points in the mean position that measures progress, the root first. The mean
-            runs over all links of the model and the floor; a point stands for every link that
-            coincides with it or whose position follows from it.
-        n_parts: Number of parts in that mean.
-        alive: The alive rule.
         length: Name and value, in metres, of what sets the body apart in its family.
         varied: Links that have that length.
     """
@@ -83,13 +75,7 @@ class Body:
     engine: Engine
     description: str
     build: Callable[[], str] = field(repr=False)
-    root: str
-    root_joints: tuple[str, ...]
     motors: tuple[Motor, ...]
-    feet: tuple[str, ...]
-    parts: tuple[Part, ...]
-    n_parts: int
-    alive: AliveRule
     length: tuple[str, float]
     varied: tuple[str, ...]
 
@@ -102,7 +88,88 @@ class Body:
         """Number of motors."""
         return len(self.motors)
 
+
+@dataclass(frozen=True, kw_only=True)
+class BulletBody(Body):
+    """A body of PyBullet's locomotion tasks.
+
+    Attributes:
+        root: Link whose pose and velocity enter the observation.
+        root_joints: Joints along which a planar root moves (x, z, pitch); empty if it floats.
+        feet: Links whose floor contact is observed, in the order of the observation.
+        parts: The points in the mean position that measures progress, the root first. The mean
+            runs over all links of the model and the floor; a point stands for every link that
+            coincides with it or whose position follows from it.
+        n_parts: Number of parts in that mean.
+        alive: The alive rule.
+    """
+
+    engine: Engine = "bullet"
+    root: str
+    root_joints: tuple[str, ...]
+    feet: tuple[str, ...]
+    parts: tuple[Part, ...]
+    n_parts: int
+    alive: AliveRule
+
     @property
     def observation_size(self) -> int:
         """Eight numbers of the torso, two per motor, one per foot."""
         return 8 + 2 * len(self.motors) + len(self.feet)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skeleton:
+    """The landmarks from which skeletal features are computed: origins of MuJoCo bodies.
+
+    Shoulder, elbow, hip and knee are the bodies whose origin lies in that joint, for example the
+    upper and the lower arm.
+
+    Attributes:
+        torso: The body whose frame is the torso frame.
+        axes: The axes of that frame that point forward, left and up.
+    """
+
+    torso: str
+    head: str
+    left_shoulder: str
+    left_elbow: str
+    left_hand: str
+    right_shoulder: str
+    right_elbow: str
+    right_hand: str
+    left_hip: str
+    left_knee: str
+    left_foot: str
+    right_hip: str
+    right_knee: str
+    right_foot: str
+    axes: str = "xyz"
+
+    @classmethod
+    def points(cls) -> tuple[str, ...]:
+        """Return the names of the landmarks, the torso first."""
+        return tuple(entry.name for entry in fields(cls) if entry.name != "axes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MujocoBody(Body):
+    """A humanoid in MuJoCo: a free root joint first, then hinges.
+
+    Attributes:
+        skeleton: Its landmarks.
+        n_substeps: Simulation steps in one control step; the model's timestep times this is
+            `control_step_s`.
+        control_step_s: Length of one control step.
+        standing_pose: Position of all joints when it stands, soles on the floor, (nq,).
+        standing_head_m: Height of the head from which the reward counts it as standing.
+        fall_head_m: Height of the head below which an episode ends.
+    """
+
+    engine: Engine = "mujoco"
+    skeleton: Skeleton
+    n_substeps: int = 5
+    control_step_s: float = 0.025
+    standing_pose: tuple[float, ...]
+    standing_head_m: float
+    fall_head_m: float

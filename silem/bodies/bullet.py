@@ -11,7 +11,8 @@ from typing import Any
 
 import pybullet
 
-from silem.bodies.body import Body
+from silem.bodies import registry
+from silem.bodies.body import Body, BulletBody
 from silem.errors import SilemError
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
@@ -22,14 +23,24 @@ _FLAGS = (
 )
 
 
-def load(body: Body, client: int) -> int:
+def body_of(body: Body | str) -> BulletBody:
+    """Return a body, given itself or its name, as one that PyBullet simulates.
+
+    Raises:
+        SilemError: If there is no such body, or another simulator steps it.
+    """
+    found = registry.get(body) if isinstance(body, str) else body
+    if not isinstance(found, BulletBody):
+        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by bullet")
+    return found
+
+
+def load(body: BulletBody, client: int) -> int:
     """Load a body as PyBullet's locomotion tasks do, and return PyBullet's number of it.
 
     Raises:
-        SilemError: If another simulator steps this body, or PyBullet rejects the model.
+        SilemError: If PyBullet rejects the model.
     """
-    if body.engine != "bullet":
-        raise SilemError(f"body {body.name!r} is simulated by {body.engine}, not by bullet")
     with _model_file(body) as path:
         try:
             (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, Body, Motor, Part
+from silem.bodies.body import AliveRule, BulletBody, Motor, Part
 
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 
@@ -40,12 +40,11 @@ def model(torso_length_m: float) -> str:
     return mjcf.set_attribute(xml, "body", "fthigh", "pos", mjcf.numbers(half, 0, 0))
 
 
-def body(name: str, torso_length_m: float) -> Body:
+def body(name: str, torso_length_m: float) -> BulletBody:
     """Return the registry entry of a HalfCheetah with a torso of the given length."""
-    return Body(
+    return BulletBody(
         name=name,
         family="halfcheetah",
-        engine="bullet",
         description=f"HalfCheetah with a torso of length {torso_length_m:g}",
         build=partial(model, torso_length_m),
         root="torso",

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 import pybullet
 import pybullet_data
 
-from silem.bodies import Body, bullet
+from silem.bodies import BulletBody, bullet
 from silem.errors import SilemError
 
 STEP_S = 0.0165  # one control step, as in PyBullet's locomotion tasks
@@ -63,7 +63,7 @@ class Simulator:
             for one control step.
     """
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: BulletBody) -> None:
         """Start a client and load the floor and the body.
 
         Raises:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from silem.bodies import Body
+from silem.bodies import BulletBody
 from silem.envs.simulator import STEP_S, State
 
 OBSERVATION_BOUND = 5.0  # observations are clipped to +- this
@@ -44,7 +44,7 @@ class LocomotionTask:
     """
 
     def __init__(
-        self, body: Body, limits: Sequence[tuple[float, float]], max_steps: float = math.inf
+        self, body: BulletBody, limits: Sequence[tuple[float, float]], max_steps: float = math.inf
     ) -> None:
         """Prepare the task.
 

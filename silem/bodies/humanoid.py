@@ -1,0 +1,160 @@
+"""Humanoid, the dm_control suite's, and HumanoidR with a long right and a short left arm."""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as ElementTree
+from functools import partial
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from dm_control.suite import common
+
+from silem.bodies.body import Motor, MujocoBody, Skeleton
+from silem.errors import SilemError
+
+ARM_FACTORS = {"left": 0.5, "right": 1.5}
+"""HumanoidR's arm lengths as multiples of Humanoid's. The paper says "elongating Humanoid's right
+arm and shortening its left arm" and gives no factor."""
+
+STANDING_HEAD_M = 1.4  # of dm_control's reward
+FALL_HEAD_M = 1.0  # of merel-mocap-gail, the code that the paper started from
+UNSCALED = {"left": 1.0, "right": 1.0}
+
+SKELETON = Skeleton(
+    torso="torso",
+    head="head",
+    left_shoulder="left_upper_arm",
+    left_elbow="left_lower_arm",
+    left_hand="left_hand",
+    right_shoulder="right_upper_arm",
+    right_elbow="right_lower_arm",
+    right_hand="right_hand",
+    left_hip="left_thigh",
+    left_knee="left_shin",
+    left_foot="left_foot",
+    right_hip="right_thigh",
+    right_knee="right_shin",
+    right_foot="right_foot",
+)
+_ARM_LINKS = ("upper_arm", "lower_arm", "hand")
+
+
+def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
+    """Return the MJCF text of dm_control's humanoid with scaled arms.
+
+    Lengths along an arm are scaled, radii are not; masses and inertias follow from the density.
+    Of the sensors only the velocity of the centre of mass stays: nothing reads the others, and
+    their sites would have to be scaled too.
+    """
+    root = ElementTree.fromstring(common.read_model("humanoid.xml"))
+    _inline_includes(root)
+    _drop_sensors(root)
+    for side, factor in (("left", left_arm), ("right", right_arm)):
+        if factor <= 0:
+            raise SilemError(f"{side} arm scaled by {factor}; allowed: factors above 0")
+        if factor != 1.0:
+            _scale_arm(root, side, factor)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
+    """Return the registry entry of a humanoid.
+
+    Args:
+        name: Name of the body.
+        description: One sentence about it.
+        arms: Factor on the length of its "left" and its "right" arm.
+    """
+    build = partial(model, arms["left"], arms["right"])
+    scaled = [side for side, factor in arms.items() if factor != 1.0]
+    facts = _facts(build())
+    return MujocoBody(
+        name=name,
+        family="humanoid",
+        description=description,
+        build=build,
+        motors=facts.motors,
+        length=("length of the right arm", facts.arm_length_m),
+        varied=tuple(f"{side}_{link}" for side in scaled for link in _ARM_LINKS),
+        skeleton=SKELETON,
+        standing_pose=facts.standing_pose,
+        standing_head_m=STANDING_HEAD_M,
+        fall_head_m=FALL_HEAD_M,
+    )
+
+
+class _Facts(NamedTuple):
+    motors: tuple[Motor, ...]
+    standing_pose: tuple[float, ...]
+    arm_length_m: float
+
+
+def _facts(xml: str) -> _Facts:
+    """Read off the compiled model what its registry entry needs."""
+    compiled = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+    motors = []
+    for index in range(compiled.nu):
+        joint = compiled.joint(compiled.actuator_trnid[index, 0]).name
+        motors.append(Motor(joint, float(compiled.actuator_gear[index, 0])))
+    pose = compiled.qpos0.copy()
+    pose[2] -= _lowest_point_m(compiled, data)
+    arm = [data.body(f"right_{link}").xpos for link in _ARM_LINKS]
+    length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(arm))
+    return _Facts(tuple(motors), tuple(pose.tolist()), round(length_m, 6))
+
+
+def _lowest_point_m(compiled: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Return the height of the lowest point of the feet's capsules."""
+    heights = []
+    for index in range(compiled.ngeom):
+        if compiled.body(compiled.geom_bodyid[index]).name.endswith("_foot"):
+            radius, half_length = compiled.geom_size[index, :2]
+            drop = abs(data.geom_xmat[index, 8]) * half_length
+            heights.append(data.geom_xpos[index, 2] - drop - radius)
+    return float(min(heights))
+
+
+def _inline_includes(root: ElementTree.Element) -> None:
+    """Put the content of the files that dm_control's model includes in their place."""
+    for index, child in reversed(list(enumerate(root))):
+        if child.tag == "include":
+            text = common.ASSETS[child.attrib["file"]]
+            root[index : index + 1] = list(ElementTree.fromstring(text))
+
+
+def _drop_sensors(root: ElementTree.Element) -> None:
+    """Leave the one sensor that the observation reads, and no sites for the others."""
+    for sensors in root.findall("sensor"):
+        for sensor in list(sensors):
+            if sensor.tag != "subtreelinvel":
+                sensors.remove(sensor)
+    for link in root.iter("body"):
+        for site in link.findall("site"):
+            link.remove(site)
+
+
+def _scale_arm(root: ElementTree.Element, side: str, factor: float) -> None:
+    """Scale an arm from the shoulder on."""
+    links = {link.get("name"): link for link in root.iter("body")}
+    for name in _ARM_LINKS:
+        link = links[f"{side}_{name}"]
+        if name != "upper_arm":  # whose place is the shoulder
+            _scale(link, "pos", factor)
+        for geom in link.findall("geom"):
+            if "fromto" in geom.attrib:
+                _scale(geom, "fromto", factor)
+
+
+def _scale(element: ElementTree.Element, attribute: str, factor: float) -> None:
+    values = [float(value) * factor for value in element.attrib[attribute].split()]
+    element.set(attribute, " ".join(f"{value:.6g}" for value in values))
+
+
+BODIES = (
+    body("Humanoid", "dm_control's humanoid", UNSCALED),
+    body("HumanoidR", "Humanoid with a longer right and a shorter left arm", ARM_FACTORS),
+)
