@@ -14,7 +14,13 @@ from silem.demonstrations import Demonstrations
 from silem.errors import SilemError, choose
 from silem.imitation.discriminator import Discriminator, discriminator_loss
 from silem.imitation.features import LearnerFeatures
-from silem.imitation.transforms import TRANSFORMS, AffineTransform, make_transform
+from silem.imitation.transforms import (
+    L2_FORMS,
+    TRANSFORMS,
+    AffineTransform,
+    l2_penalty,
+    make_transform,
+)
 from silem.imitation.windows import WindowTracker, episode_windows
 from silem.learning.ppo import PPO
 
@@ -37,6 +43,9 @@ class SILEM(PPO):
         n_disc_updates: N_D, discriminator steps per iteration, one pass over the rollout.
         n_transform_updates: N_G, transform steps per iteration, likewise.
         transform_lr_decay: d, factor on the transform's learning rate per iteration.
+        transform_l2_scale: w_d, weight of the L2 term on A; 0 switches it off (HalfCheetah, Ant).
+        transform_l2_bias: w_b, weight of the L2 term on b; likewise.
+        transform_l2_form: "deviation" penalises A - 1, "plain" A itself (see `l2_penalty`).
         disc_learning_rate: Adam's rate for D.
         transform_learning_rate: Adam's rate for T at the first iteration.
         disc_hidden: Hidden units of D.
@@ -46,8 +55,9 @@ class SILEM(PPO):
         **kwargs: Everything :class:`PPO` takes.
 
     Raises:
-        SilemError: On an unknown transform, unusable demonstrations, or demonstrations of
-            another feature width than the learner's.
+        SilemError: On an unknown transform or form, an L2 term on another transform than the
+            affine one, unusable demonstrations, or demonstrations of another feature width than
+            the learner's.
     """
 
     _transient: ClassVar[list[str]] = [
@@ -67,6 +77,9 @@ class SILEM(PPO):
         n_disc_updates: int = 10,
         n_transform_updates: int = 5,
         transform_lr_decay: float = 1.0,
+        transform_l2_scale: float = 0.0,
+        transform_l2_bias: float = 0.0,
+        transform_l2_form: str = "deviation",
         disc_learning_rate: float = 1e-3,
         transform_learning_rate: float = 1e-4,
         disc_hidden: Sequence[int] = (128, 128, 128),
@@ -79,6 +92,11 @@ class SILEM(PPO):
         self.n_disc_updates = n_disc_updates
         self.n_transform_updates = n_transform_updates
         self.transform_lr_decay = transform_lr_decay
+        self.transform_l2_scale = transform_l2_scale
+        self.transform_l2_bias = transform_l2_bias
+        self.transform_l2_form = choose("transform_l2_form", transform_l2_form, L2_FORMS)
+        if (transform_l2_scale or transform_l2_bias) and transform != "affine":
+            raise SilemError(f"the L2 term is the affine transform's; {transform!r} has none")
         self.disc_learning_rate = disc_learning_rate
         self.transform_learning_rate = transform_learning_rate
         self.disc_hidden = tuple(disc_hidden)
@@ -206,7 +224,11 @@ class SILEM(PPO):
         }
 
     def update_transform(self, learner_windows: th.Tensor) -> dict[str, float]:
-        """Make N_G steps of line 10, -log D(T(o)), on windows (N, W, F); D's weights stay."""
+        """Make N_G steps of line 10 on windows (N, W, F); D's weights stay.
+
+        Returns:
+            The mean of line 10's loss -log D(T(o)), without the L2 term, and the learning rate.
+        """
         if self.transform_optimizer is None:
             return {}
         iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1
@@ -217,11 +239,17 @@ class SILEM(PPO):
         for rows in self._passes(len(learner_windows), self.n_transform_updates):
             logits = self.discriminator(self.transform_net(learner_windows[rows]))
             loss = F.softplus(-logits).mean()  # -log sigmoid(logit)
+            losses.append(loss.item())
+            if self.transform_l2_scale or self.transform_l2_bias:
+                assert isinstance(self.transform_net, AffineTransform)
+                loss = loss + l2_penalty(
+                    self.transform_net, self.transform_l2_scale, self.transform_l2_bias,
+                    self.transform_l2_form,
+                )  # fmt: skip
             # gradients by T alone: D's are not even computed
             for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
                 p.grad = gradient
             self.transform_optimizer.step()
-            losses.append(loss.item())
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
     def _passes(self, n: int, n_batches: int) -> tuple[th.Tensor, ...]:

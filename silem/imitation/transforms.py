@@ -11,6 +11,8 @@ from silem.errors import choose
 
 TransformName = Literal["affine", "identity", "mlp"]
 TRANSFORMS: tuple[TransformName, ...] = ("affine", "identity", "mlp")
+L2Form = Literal["deviation", "plain"]
+L2_FORMS: tuple[L2Form, ...] = ("deviation", "plain")
 MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
 
 
@@ -40,6 +42,28 @@ class MLPTransform(nn.Sequential):
             nn.Tanh(),
             nn.Linear(MLP_HIDDEN_UNITS, n_features),
         )
+
+
+def l2_penalty(
+    transform: AffineTransform, scale_coef: float, offset_coef: float, form: str = "deviation"
+) -> th.Tensor:
+    """Return the supplement's L2 term on the affine transform, w_d |A|^2 + w_b |b|^2.
+
+    The supplement names the two coefficients and not the form. "deviation" measures A from one:
+    the identity, which says that the two bodies are alike, is what a transform should fall back
+    to where the discriminator asks for nothing. The "plain" norm pulls A to 0, hence every
+    feature to a constant that tells nothing of the learner. Both are means over the features, so
+    that a coefficient weighs the same beside the loss of line 10 whatever F is.
+
+    Args:
+        transform: The affine transform.
+        scale_coef: w_d, weight of A's term.
+        offset_coef: w_b, weight of b's term.
+        form: "deviation" or "plain".
+    """
+    rest = 1.0 if form == "deviation" else 0.0
+    scale_term = (transform.scale - rest).square().mean()
+    return scale_coef * scale_term + offset_coef * transform.offset.square().mean()
 
 
 def make_transform(name: str, n_features: int) -> nn.Module:

@@ -16,7 +16,7 @@ from silem.imitation.discriminator import (
     discriminator_loss,
     squared_gradient_norm,
 )
-from silem.imitation.transforms import make_transform
+from silem.imitation.transforms import l2_penalty, make_transform
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
 
@@ -104,6 +104,48 @@ def test_gradient_norm_of_a_linear_discriminator() -> None:
     assert norm.item() == pytest.approx(weight.square().sum().item(), rel=1e-5)
     norm.backward()
     th.testing.assert_close(weight.grad, 2.0 * weight.detach())
+
+
+@pytest.mark.parametrize(("form", "rest"), [("deviation", 1.0), ("plain", 0.0)])
+def test_gradient_of_the_l2_term_in_closed_form(form: str, rest: float) -> None:
+    transform = make_transform("affine", 3)
+    with th.no_grad():
+        transform.scale.copy_(th.tensor([2.0, 1.0, -0.5]))
+        transform.offset.copy_(th.tensor([0.3, 0.0, -1.0]))
+    l2_penalty(transform, 10.0, 4.0, form).backward()
+    expected = 2.0 * 10.0 / 3.0 * (transform.scale.detach() - rest)
+    th.testing.assert_close(transform.scale.grad, expected)
+    th.testing.assert_close(transform.offset.grad, 2.0 * 4.0 / 3.0 * transform.offset.detach())
+
+
+@pytest.mark.parametrize(
+    ("settings", "scale", "offset"),
+    [
+        (dict(transform_l2_scale=1.0, transform_l2_bias=10.0), 1.0, 0.0),
+        (dict(transform_l2_scale=1.0, transform_l2_bias=1.0, transform_l2_form="plain"), 0.0, 0.0),
+        (dict(transform_l2_bias=1.0), 1.5, 0.0),
+        (dict(transform_l2_scale=1.0), 1.0, 0.5),
+        (dict(), 1.5, 0.5),  # without the term a constant D leaves the transform where it is
+    ],
+)
+def test_l2_pulls_the_transform_where_a_constant_discriminator_leaves_it(
+    settings: dict, scale: float, offset: float, rng: np.random.Generator
+) -> None:
+    model = make_model(transform_learning_rate=2e-2, n_transform_updates=8, **settings)
+    with th.no_grad():
+        for p in model.discriminator.parameters():
+            p.zero_()
+        model.transform_net.scale.fill_(1.5)
+        model.transform_net.offset.fill_(0.5)
+    windows = cloud(rng)
+    losses = [model.update_transform(windows)["transform_loss"] for _ in range(60)]
+    assert losses == pytest.approx([np.log(2.0)] * 60)  # line 10's loss alone is reported
+    th.testing.assert_close(
+        model.transform_net.scale.detach(), th.full((3,), scale), atol=0.02, rtol=0
+    )
+    th.testing.assert_close(
+        model.transform_net.offset.detach(), th.full((3,), offset), atol=0.02, rtol=0
+    )
 
 
 @pytest.mark.parametrize(("transform", "recovers"), [("affine", True), ("identity", False)])
@@ -237,6 +279,19 @@ def test_unusable_demonstrations_are_refused(demonstrations, message: str) -> No
 def test_unknown_transform_is_refused() -> None:
     with pytest.raises(SilemError, match="affine, identity, mlp"):
         make_model("quadratic")
+
+
+@pytest.mark.parametrize(
+    ("transform", "settings", "message"),
+    [
+        ("affine", dict(transform_l2_form="cubic"), "deviation, plain"),
+        ("identity", dict(transform_l2_scale=1.0), "affine transform's"),
+        ("mlp", dict(transform_l2_bias=1.0), "affine transform's"),
+    ],
+)
+def test_unusable_l2_is_refused(transform: str, settings: dict, message: str) -> None:
+    with pytest.raises(SilemError, match=message):
+        make_model(transform, **settings)
 
 
 def test_demonstrations_file_round_trip_and_damage(tmp_path) -> None:
