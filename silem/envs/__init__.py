@@ -2,29 +2,57 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 
 from silem import bodies
-from silem.envs.bullet import MAX_STEPS, BulletVecEnv
+from silem.bodies import Body
+from silem.envs.batched import MAX_STEPS, BatchedEnv
+from silem.envs.bullet import BulletVecEnv
+from silem.envs.humanoids import MujocoVecEnv
+from silem.envs.mujoco_camera import MujocoCamera
 from silem.envs.rendering import Camera
 from silem.envs.single import BulletEnv
+from silem.envs.single_humanoid import MujocoEnv
 
-__all__ = ["BulletEnv", "BulletVecEnv", "Camera", "make_vec", "register_gymnasium_ids"]
+__all__ = [
+    "BatchedEnv",
+    "BulletEnv",
+    "BulletVecEnv",
+    "Camera",
+    "MujocoCamera",
+    "MujocoEnv",
+    "MujocoVecEnv",
+    "make_vec",
+    "register_gymnasium_ids",
+]
 
 
-def make_vec(body: str, n_envs: int = 4, seed: int = 0, max_steps: int = MAX_STEPS) -> BulletVecEnv:
+def make_vec(
+    body: Body | str, n_envs: int = 4, seed: int = 0, max_steps: int = MAX_STEPS, **options: Any
+) -> BatchedEnv:
     """Make E environments with the same body, stepped as one.
 
     Args:
-        body: Name of the body, for example "HC2".
+        body: A body or its name, for example "HC2".
         n_envs: E.
         seed: Root of all environments' random streams.
         max_steps: Steps after which an episode is cut off.
+        **options: What the body's simulator takes beside: see `MujocoVecEnv`.
 
     Raises:
         SilemError: If an argument is not allowed; the message says what is.
     """
-    return BulletVecEnv(body, n_envs=n_envs, seed=seed, max_steps=max_steps)
+    found = bodies.get(body) if isinstance(body, str) else body
+    make = MujocoVecEnv if found.engine == "mujoco" else BulletVecEnv
+    return make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
+
+
+_ENTRY_POINTS = {
+    "bullet": "silem.envs.single:BulletEnv",
+    "mujoco": "silem.envs.single_humanoid:MujocoEnv",
+}
 
 
 def register_gymnasium_ids() -> None:
@@ -33,7 +61,7 @@ def register_gymnasium_ids() -> None:
         if f"silem/{name}-v0" not in gymnasium.registry:
             gymnasium.register(
                 f"silem/{name}-v0",
-                entry_point="silem.envs.single:BulletEnv",
+                entry_point=_ENTRY_POINTS[bodies.get(name).engine],
                 max_episode_steps=MAX_STEPS,
                 kwargs={"body": name},
             )

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem import bodies
-from silem.bodies import Body
+from silem.bodies import Body, BulletBody, bullet
+from silem.envs.batched import MAX_STEPS, BatchedEnv, check_actions
 from silem.envs.rendering import Camera
 from silem.envs.simulator import Simulator
 from silem.envs.tasks import OBSERVATION_BOUND, LocomotionTask, as_observations
 from silem.errors import SilemError, choose
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
-MAX_STEPS = 1000
 
 
-def spaces(body: Body) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+def spaces(body: BulletBody) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     """Return a body's observation space and action space."""
     observation = gymnasium.spaces.Box(
         -OBSERVATION_BOUND, OBSERVATION_BOUND, (body.observation_size,), np.float32
@@ -31,44 +27,20 @@ def spaces(body: Body) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     return observation, gymnasium.spaces.Box(-1.0, 1.0, (body.action_size,), np.float32)
 
 
-def start_angles(generator: np.random.Generator, body: Body) -> list[float]:
+def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float]:
     """Draw (J,) joint angles in rad for an episode's start."""
     angles = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
     return angles.tolist()
 
 
-def checked_actions(actions: Any, shape: tuple[int, ...]) -> list[list[float]]:
-    """Return actions of the given shape as rows of A numbers.
+class BulletVecEnv(BatchedEnv):
+    """E PyBullet clients with the same body, stepped in turn in one process.
 
-    Raises:
-        SilemError: If the shape is another, or a number is not finite.
-    """
-    try:
-        array = np.asarray(actions, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise SilemError(f"actions are not numbers: {error}") from error
-    if array.shape != shape:
-        raise SilemError(f"actions of shape {array.shape}; expected {shape}")
-    rows: list[list[float]] = array.reshape(-1, shape[-1]).tolist()
-    if not math.isfinite(sum(map(sum, rows))):
-        raise SilemError("actions contain NaN or infinity")
-    return rows
-
-
-class BulletVecEnv(VecEnv):
-    """E environments with the same body, stepped in turn in one process.
-
-    An environment that ends is reset at once, as stable-baselines3 expects. Its info then holds
-    `terminal_observation` (O,), `TimeLimit.truncated` (whether only the step limit ended it) and
-    `episode`: return `r`, length `l`, seconds since the environments were built `t`, mean forward
-    speed of the torso `speed_m_s`, and share of steps upright `upright`.
-
-    After `seed(s)`, `reset()` builds all clients afresh, so everything that follows equals, bit
-    for bit, a newly made instance with that seed, whatever happened before.
+    `speed_m_s` of an episode is the torso's mean forward speed. A `reset()` after `seed(s)` builds
+    all clients afresh.
 
     Attributes:
         body: The body.
-        max_steps: Steps after which an episode is cut off.
         simulators: The E simulators; empty before the first `reset` and after `close`.
     """
 
@@ -92,34 +64,12 @@ class BulletVecEnv(VecEnv):
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self.body = bodies.get(body) if isinstance(body, str) else body
-        for name, value in (("n_envs", n_envs), ("max_steps", max_steps)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-                raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
+        self.body = bullet.body_of(body)
         self.render_mode = render_mode
-        self.max_steps = int(max_steps)
         self.simulators: list[Simulator] = []
-        self._generators: list[np.random.Generator] = []
         self._camera: Camera | None = None
         self._actions: list[list[float]] | None = None
-        self._built_at = time.perf_counter()
-        super().__init__(int(n_envs), *spaces(self.body))
-        self.seed(seed)
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the root seed; it takes effect at the next `reset`.
-
-        Args:
-            seed: Root of all environments' random streams; None draws one.
-
-        Raises:
-            SilemError: If the seed is negative or not a whole number.
-        """
-        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
-            raise SilemError(f"seed is {seed!r}; allowed: whole numbers from 0")
-        root = np.random.SeedSequence(None if seed is None else int(seed))
-        self._next_generators = [np.random.default_rng(s) for s in root.spawn(self.num_envs)]
-        return [seed] * self.num_envs
+        super().__init__(n_envs, spaces(self.body), seed, max_steps)
 
     def reset(self) -> np.ndarray:
         """Start a new episode in every environment.
@@ -139,7 +89,8 @@ class BulletVecEnv(VecEnv):
         Raises:
             SilemError: If they have another shape or are not finite.
         """
-        self._actions = checked_actions(actions, (self.num_envs, self.body.action_size))
+        shape = (self.num_envs, self.body.action_size)
+        self._actions = check_actions(actions, shape).tolist()
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step every environment by one control step.
@@ -194,35 +145,6 @@ class BulletVecEnv(VecEnv):
             simulator.close()
         self.simulators, self._camera = [], None
 
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute, which all environments share, once per index."""
-        value = getattr(self, attr_name)
-        return [value for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refuse: the environments share their attributes.
-
-        Raises:
-            SilemError: Always.
-        """
-        raise SilemError(f"{attr_name!r} of a BulletVecEnv cannot be set per environment")
-
-    def env_method(
-        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
-    ) -> list[Any]:
-        """Refuse: there are no separate environment objects to call.
-
-        Raises:
-            SilemError: Always.
-        """
-        raise SilemError(f"a BulletVecEnv has no environments with a method {method_name!r}")
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None
-    ) -> list[bool]:
-        """Return False once per index: there are no wrappers."""
-        return [False for _ in self._get_indices(indices)]
-
     def _rebuild(self) -> None:
         """Build all clients afresh, with the random streams of the latest seed."""
         self.close()
@@ -245,5 +167,5 @@ class BulletVecEnv(VecEnv):
         return {
             "terminal_observation": observation,
             "TimeLimit.truncated": not task.terminated,
-            "episode": task.summary() | {"t": time.perf_counter() - self._built_at},
+            "episode": task.summary() | {"t": self._since_built_s()},
         }

@@ -7,8 +7,9 @@ from typing import Any, SupportsFloat
 import gymnasium
 import numpy as np
 
-from silem import bodies
-from silem.envs.bullet import checked_actions, spaces, start_angles
+from silem.bodies import bullet
+from silem.envs.batched import check_actions
+from silem.envs.bullet import spaces, start_angles
 from silem.envs.rendering import Camera
 from silem.envs.simulator import STEP_S, Simulator
 from silem.envs.tasks import LocomotionTask, as_observations
@@ -34,7 +35,7 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the body or the render mode is unknown.
         """
-        self.body = bodies.get(body)
+        self.body = bullet.body_of(body)
         if render_mode is not None:
             choose("render mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
@@ -72,7 +73,7 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the action has another shape or is not finite, or before `reset`.
         """
-        (row,) = checked_actions(action, (self.body.action_size,))
+        row = check_actions(action, (self.body.action_size,)).tolist()
         if self._simulator is None:
             raise SilemError("step before reset")
         self._simulator.advance(row)

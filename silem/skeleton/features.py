@@ -84,7 +84,7 @@ class Landmarks:
         return self.oriented(data.xmat[self.torso])
 
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
-        """Return torso frames (..., 9), as MuJoCo has them, as rows forward, left, up (..., 3, 3)."""
+        """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
         frames = matrices.reshape(*matrices.shape[:-1], 3, 3)
         return np.swapaxes(frames, -1, -2)[..., self._axes, :]
 

@@ -1,0 +1,145 @@
+"""E states of one MuJoCo model, stepped together and read as arrays."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import numpy as np
+
+from silem import bodies
+from silem.bodies import Body, MujocoBody
+from silem.envs.walking import Reading
+from silem.errors import SilemError
+from silem.skeleton.features import Landmarks
+
+JOINT_NOISE_RAD = 0.02  # hinges start within +- this of the standing pose
+VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and rad/s
+
+StartStates = tuple[np.ndarray, np.ndarray]
+"""Positions (S, nq) and velocities (S, nv) to start episodes from, drawn at random."""
+
+
+def body_of(body: Body | str) -> MujocoBody:
+    """Return a body, given itself or its name, as one that MuJoCo simulates.
+
+    Raises:
+        SilemError: If there is no such body, or another simulator steps it.
+    """
+    found = bodies.get(body) if isinstance(body, str) else body
+    if not isinstance(found, MujocoBody):
+        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by mujoco")
+    return found
+
+
+class Simulation:
+    """E states of one model, stepped in one thread or several.
+
+    A control step is dm_control's: the last substep stops after the part that brings positions
+    and velocities up to date, and the next control step begins with the rest of it.
+
+    Attributes:
+        body: The body.
+        model: Its compiled model.
+        datas: The E states.
+    """
+
+    def __init__(self, body: MujocoBody, n_envs: int, n_threads: int = 1) -> None:
+        self.body = body
+        self.model = mujoco.MjModel.from_xml_string(body.model_xml())
+        self.datas = [mujoco.MjData(self.model) for _ in range(n_envs)]
+        self._landmarks = Landmarks(self.model, body.skeleton)
+        n_bodies = self.model.nbody
+        self._qpos = np.empty((n_envs, self.model.nq))
+        self._qvel = np.empty((n_envs, self.model.nv))
+        self._xpos = np.empty((n_envs, n_bodies, 3))
+        self._xmat = np.empty((n_envs, 9))
+        self._velocity = np.empty((n_envs, 3))
+        torso, root = self._landmarks.torso, self._landmarks.root
+        self._views = [
+            (
+                data.ctrl,
+                data.qpos,
+                data.qvel,
+                data.xpos,
+                data.xmat[torso],
+                data.subtree_linvel[root],
+            )
+            for data in self.datas
+        ]
+        self._threads = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
+        self._shares = np.array_split(np.arange(n_envs), n_threads)
+
+    def place(self, index: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Put one state at joint positions (nq,) and velocities (nv,)."""
+        data = self.datas[index]
+        mujoco.mj_resetData(self.model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(self.model, data)
+        mujoco.mj_subtreeVel(self.model, data)
+        self._gather(index)
+
+    def advance(self, actions: np.ndarray) -> list[bool]:
+        """Apply actions (E, A), within -1..1, for one control step.
+
+        Returns:
+            Per environment, whether its physics went wrong: MuJoCo then starts the state anew.
+        """
+        if self._threads is None:
+            return self._advance(self._shares[0].tolist(), actions)
+        work = [(share.tolist(), actions) for share in self._shares]
+        results = self._threads.map(self._advance, *zip(*work, strict=True))
+        return [failed for share in results for failed in share]
+
+    def _advance(self, indices: list[int], actions: np.ndarray) -> list[bool]:
+        model, rest, failed = self.model, self.body.n_substeps - 1, []
+        for index in indices:
+            data = self.datas[index]
+            self._views[index][0][:] = actions[index]
+            before = data.time
+            mujoco.mj_step2(model, data)
+            if rest:
+                mujoco.mj_step(model, data, rest)
+            mujoco.mj_step1(model, data)
+            mujoco.mj_subtreeVel(model, data)
+            self._gather(index)
+            failed.append(data.time <= before)
+        return failed
+
+    def _gather(self, index: int) -> None:
+        _, qpos, qvel, xpos, xmat, velocity = self._views[index]
+        self._qpos[index], self._qvel[index], self._xpos[index] = qpos, qvel, xpos
+        self._xmat[index], self._velocity[index] = xmat, velocity
+
+    def read(self) -> Reading:
+        """Return copies of what all states hold."""
+        return Reading(
+            self._qpos.copy(),
+            self._qvel.copy(),
+            self._xpos[:, self._landmarks.ids],
+            self._landmarks.oriented(self._xmat),
+            self._velocity.copy(),
+        )
+
+    def close(self) -> None:
+        """End the threads; closing twice is allowed."""
+        if self._threads is not None:
+            self._threads.shutdown()
+
+
+def start_state(
+    generator: np.random.Generator, body: MujocoBody, starts: StartStates | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the joint positions (nq,) and velocities (nv,) that an episode starts from.
+
+    Args:
+        generator: Where the random numbers come from.
+        body: The body.
+        starts: States to choose from; None means the standing pose with small noise.
+    """
+    if starts is not None:
+        chosen = generator.integers(len(starts[0]))
+        return starts[0][chosen], starts[1][chosen]
+    qpos = np.array(body.standing_pose)
+    qpos[7:] += generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, len(qpos) - 7)
+    return qpos, generator.uniform(-VELOCITY_NOISE, VELOCITY_NOISE, len(qpos) - 1)

@@ -1,0 +1,72 @@
+"""A camera that follows a humanoid, drawn offscreen by MuJoCo."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco is imported: no display is needed
+
+import mujoco
+import numpy as np
+
+from silem.envs.mujoco import Simulation
+from silem.errors import SilemError
+
+_AZIMUTH_DEG, _ELEVATION_DEG = 125.0, -12.0  # seen from the front left, from a little above
+_LOOK_AT_M = 0.55  # share of the standing head's height that is in the middle of the picture
+_DISTANCE = 2.4  # in heights of the standing head
+_VARIED = (0.91, 0.44, 0.16, 1.0)  # the links whose length sets the body apart
+
+
+class MujocoCamera:
+    """Takes pictures of a simulation's first body, always from the same side, in the middle."""
+
+    def __init__(self, simulation: Simulation, width: int = 640, height: int = 480) -> None:
+        """Set up the camera.
+
+        Args:
+            simulation: Whose body to show.
+            width: Of the pictures, in pixels.
+            height: Of the pictures, in pixels.
+
+        Raises:
+            SilemError: If the size is not positive, or nothing can be drawn offscreen here.
+        """
+        if min(width, height) < 1:
+            raise SilemError(f"picture of {width} x {height} pixels: not positive")
+        self._simulation = simulation
+        self._model = _painted(simulation)
+        height_m = simulation.body.standing_head_m
+        self._camera = mujoco.MjvCamera()
+        self._camera.azimuth, self._camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
+        self._camera.distance = _DISTANCE * height_m
+        self._camera.lookat[2] = _LOOK_AT_M * height_m
+        try:
+            self._renderer = mujoco.Renderer(self._model, height, width)
+        except Exception as error:  # each OpenGL backend raises its own kind
+            raise SilemError(
+                f"no offscreen rendering with MUJOCO_GL={os.environ['MUJOCO_GL']!r} ({error});"
+                " the physics works without; allowed: egl, osmesa, glfw"
+            ) from error
+
+    def picture(self) -> np.ndarray:
+        """Return a picture (H, W, 3), uint8, of the body as it is now."""
+        data = self._simulation.datas[0]
+        self._camera.lookat[:2] = data.qpos[:2]
+        self._renderer.update_scene(data, self._camera)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Give the renderer's memory back."""
+        self._renderer.close()
+
+
+def _painted(simulation: Simulation) -> mujoco.MjModel:
+    """Return a copy of the model for drawing, its varied links in another colour."""
+    model = mujoco.MjModel.from_xml_string(simulation.body.model_xml())
+    model.vis.global_.offwidth, model.vis.global_.offheight = 1920, 1440
+    for link in simulation.body.varied:
+        for geom in np.flatnonzero(model.geom_bodyid == model.body(link).id):
+            model.geom_matid[geom] = -1
+            model.geom_rgba[geom] = _VARIED
+    return model
