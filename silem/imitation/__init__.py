@@ -1,5 +1,6 @@
-"""Adversarial imitation from observation: SILEM and its ablations (Algorithm 1)."""
+"""Adversarial imitation from observation: SILEM, its ablations and TPIL."""
 
 from silem.imitation.silem import SILEM
+from silem.imitation.tpil import TPIL
 
-__all__ = ["SILEM"]
+__all__ = ["SILEM", "TPIL"]

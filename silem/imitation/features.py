@@ -45,15 +45,16 @@ class LearnerFeatures:
             Features (E, F) of the states reached, terminal ones included, and per environment
             whose episode ended the features (F,) of the new episode's first state.
         """
-        if not dones.any() and INFO_KEY not in infos[0]:
-            return self._checked(np.asarray(observations, np.float32).reshape(len(dones), -1)), {}
-        reached, first = [], {}
-        for i, info in enumerate(infos):
-            state = info["terminal_observation"] if dones[i] else observations[i]
-            reached.append(self._of(state, info))
-            if dones[i]:
-                first[i] = self._of(observations[i], env.unwrapped.reset_infos[i])
-        return np.stack(reached), first
+        ended = np.flatnonzero(dones).tolist()
+        if INFO_KEY in infos[0]:
+            reached = np.array([info[INFO_KEY] for info in infos], dtype=np.float32)
+        else:
+            reached = np.array(observations, dtype=np.float32)
+            for i in ended:
+                reached[i] = infos[i]["terminal_observation"]
+        resets = env.unwrapped.reset_infos
+        first = {i: self._of(observations[i], resets[i]) for i in ended}
+        return self._checked(reached.reshape(len(dones), -1)), first
 
     def _of(self, observation: Any, info: dict[str, Any]) -> np.ndarray:
         features = info.get(INFO_KEY)
