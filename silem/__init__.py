@@ -1,18 +1,19 @@
 """SILEM: imitation learning across bodies, after Hudson, Warnell, Torabi and Stone (2022).
 
-Importing the package registers the Gymnasium ids ``silem/HC0-v0`` to ``silem/Ant6-v0``.
+Importing the package registers the Gymnasium ids ``silem/HC0-v0`` to ``silem/Atlas-v0``.
 """
 
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down
 
+import silem.offscreen  # before anything imports MuJoCo
 from silem import bodies
 from silem.config import RunConfig
 from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
 from silem.errors import SilemError
-from silem.imitation import SILEM
+from silem.imitation import SILEM, TPIL
 from silem.learning import PPO
 from silem.study.evaluate import evaluate
 from silem.study.record import RunRecord
@@ -21,6 +22,7 @@ from silem.study.runs import run
 __all__ = [
     "PPO",
     "SILEM",
+    "TPIL",
     "Demonstrations",
     "RunConfig",
     "RunRecord",

@@ -73,14 +73,32 @@ BUDGETS = {
     )
 }
 
+_MUJOCO = paper.common("humanoid")
+HUMANOIDS = {
+    "tiny": {},
+    "quick": {"n_envs": 16, "steps_per_iteration": _MUJOCO["steps_per_iteration"]},
+    "book": {
+        "n_envs": 16,
+        "steps_per_iteration": _MUJOCO["steps_per_iteration"],
+        "n_iterations": 600,
+    },
+    "paper": {
+        "n_envs": 16,
+        "steps_per_iteration": _MUJOCO["steps_per_iteration"],
+        "n_iterations": _MUJOCO["n_iterations"],
+    },
+}
+"""What each budget counts differently for humanoids."""
+
 LONGER = {("book", "HC1"): 800}
 """Iterations where a body needs more than its budget's: at 400 HC1's expert still stands still."""
 
 
-def of_body(budget: Budget, body: str) -> Budget:
-    """Return a budget with the iterations it has on a body, the same for every method there."""
-    default = BUDGETS.get(budget.name)
-    longer = LONGER.get((budget.name, body))
-    if longer is None or budget != default:
+def of_body(budget: Budget, body: str, family: str) -> Budget:
+    """Return a budget with the counts it has on a body, the same for every method there."""
+    if budget != BUDGETS.get(budget.name):
         return budget
+    if family == "humanoid":
+        return dataclasses.replace(budget, **HUMANOIDS[budget.name])
+    longer = LONGER.get((budget.name, body), budget.n_iterations)
     return dataclasses.replace(budget, n_iterations=longer)

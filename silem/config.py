@@ -15,13 +15,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies, paper
+from silem.bodies import Body
 from silem.budgets import BUDGETS, Budget, of_body
 from silem.errors import SilemError, choose
-from silem.hyperparameters import METHODS, TRANSFORMS, HyperParameters
+from silem.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
 
 __all__ = [
     "BUDGETS",
     "DEMONSTRATOR_SEED",
+    "IMITATORS",
     "METHODS",
     "ORIGINAL_BODIES",
     "TRANSFORMS",
@@ -34,11 +36,18 @@ __all__ = [
 ORIGINAL_BODIES = {"halfcheetah": "HC0", "ant": "Ant0"}
 """Per family the body whose expert demonstrates (Section 5 of the paper)."""
 
+HUMAN = "cmu_08_01"
+"""The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
+
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
 
 DEMONSTRATOR_SEED = TRIAL_SEEDS[0]
 """The trial of the expert whose policy is recorded as demonstrations."""
+
+
+_ONLY_HUMANOIDS = ("tpil", "peng20")
+_ONLY_RUNNERS = ("silem-minus-own", "silem-mlp")
 
 
 @dataclass(frozen=True)
@@ -48,7 +57,7 @@ class RunConfig:
     study: str
     body: str  # the learner's
     method: str
-    demonstrations: str  # the expert's body; "" where the method needs none
+    demonstrations: str  # the expert's body or a clip of motion; "" where the method needs none
     budget: Budget
     hyper: HyperParameters
     seed: int
@@ -69,8 +78,9 @@ class RunConfig:
         Args:
             body: The learner's body.
             method: One of `METHODS`.
-            demonstrations: The expert's body. None means the family's original body, or the
-                learner's own for ``silem-minus-own``.
+            demonstrations: The expert's body or a clip of motion. None means the family's
+                original body (humanoids: the human's clip), or the learner's own for
+                ``silem-minus-own``, or the clip retargeted to the learner for ``peng20``.
             budget: One of `BUDGETS`, or a `Budget` of your own.
             seed: The root seed of every random stream of the run.
             study: The folder the run belongs to; None means the body's family.
@@ -84,10 +94,11 @@ class RunConfig:
         choose("body", body, bodies.names())
         choose("method", method, METHODS)
         family = bodies.get(body).family
+        _check_method(method, body, family)
         demonstrations = _demonstrations(body, method, family, demonstrations)
         if isinstance(budget, str):
             budget = BUDGETS[choose("budget", budget, BUDGETS)]
-        budget = of_body(budget, body)
+        budget = of_body(budget, body, family)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
         study = family if study is None else study
@@ -96,18 +107,28 @@ class RunConfig:
         used = HyperParameters.names_used_by(method)
         for name in hyper_overrides:
             choose(f"hyper-parameter of {method}", name, used)
-        best = paper.best_combination(body, method, demonstrations) if used else {}
-        values = {name: value for name, value in best.items() if name in used} | hyper_overrides
-        hyper = HyperParameters(**values)
+        values = _defaults(body, method, family, demonstrations)
+        values = {name: value for name, value in values.items() if name in used}
+        hyper = HyperParameters(**(values | hyper_overrides))
+        _check_ankle(body, hyper.ankle_range_rad)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
-        if used and steps % minibatch:
+        if method != "random" and steps % minibatch:
             raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
         return cls(study, body, method, demonstrations, budget, hyper, seed)
 
     @property
     def transform(self) -> str | None:
-        """The state transformer's kind, or None where the method does not imitate."""
+        """The state transformer's kind, or None where the method has none."""
         return TRANSFORMS.get(self.method)
+
+    @property
+    def learner(self) -> Body:
+        """The learner's body, as this run's hyper-parameters have it."""
+        if self.hyper.ankle_range_rad:
+            from silem.bodies import atlas
+
+            return atlas.body(self.hyper.ankle_range_rad)
+        return bodies.get(self.body)
 
     @property
     def run_id(self) -> str:
@@ -142,8 +163,7 @@ class RunConfig:
         """Return the configuration as plain JSON types, with the used hyper-parameters only."""
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
-            for name in HyperParameters.names_used_by(self.method)
-            for value in [getattr(self.hyper, name)]
+            for name, value in self.hyper.of_method(self.method).items()
         }
         return {
             "study": self.study,
@@ -180,8 +200,16 @@ class RunConfig:
             raise SilemError(f"no valid run configuration: {error}") from error
 
 
+def _check_method(method: str, body: str, family: str) -> None:
+    """Refuse a method that a family of bodies has not."""
+    refused = _ONLY_RUNNERS if family == "humanoid" else _ONLY_HUMANOIDS
+    if method in refused:
+        allowed = ", ".join(name for name in METHODS if name not in refused)
+        raise SilemError(f"method {method!r} is not for {body}; allowed: {allowed}")
+
+
 def _demonstrations(body: str, method: str, family: str, demonstrations: str | None) -> str:
-    if method not in TRANSFORMS:
+    if method not in IMITATORS:
         if demonstrations:
             raise SilemError(f"method {method!r} uses no demonstrations")
         return ""
@@ -189,4 +217,37 @@ def _demonstrations(body: str, method: str, family: str, demonstrations: str | N
         if demonstrations not in (None, body):
             raise SilemError(f"silem-minus-own of {body} imitates {body}, not {demonstrations}")
         return body
-    return choose("demonstrations", demonstrations or ORIGINAL_BODIES[family], bodies.names())
+    if family != "humanoid":
+        return choose("demonstrations", demonstrations or ORIGINAL_BODIES[family], bodies.names())
+    if method == "peng20":
+        chosen = demonstrations or retargeted(HUMAN, body)
+        if not chosen.endswith(f"_on_{body}"):
+            raise SilemError(f"peng20 imitates a clip retargeted to {body}, not {chosen!r}")
+        return chosen
+    return demonstrations or HUMAN
+
+
+def retargeted(clip: str, body: str) -> str:
+    """Return the name of a clip's demonstrations retargeted to a body."""
+    return f"{clip}_on_{body}"
+
+
+def _defaults(body: str, method: str, family: str, demonstrations: str) -> dict[str, Any]:
+    """Return the values of the supplement for one cell: common settings, then the best found."""
+    best = paper.best_combination(body, method, demonstrations)
+    if family != "humanoid":
+        return best
+    shared = {
+        "policy_hidden": tuple(paper.number("humanoid_policy_hidden")),
+        "disc_hidden": tuple(paper.number("humanoid_disc_hidden")),
+        "n_trajectories": 1,
+        "n_transform_updates": paper.grid_values("tab4_h")["N_G"][0],
+        "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
+        "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,
+    }
+    return shared | paper.common(family) | best
+
+
+def _check_ankle(body: str, ankle_range_rad: float) -> None:
+    if (body == "Atlas") != (ankle_range_rad > 0):
+        raise SilemError(f"ankle_range_rad {ankle_range_rad:g} on {body}: it is Atlas's alone")

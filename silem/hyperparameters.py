@@ -12,29 +12,45 @@ from typing import Any
 
 from silem import paper
 from silem.budgets import check_positive_int
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 
-METHODS = ("ppo", "random", "silem", "silem-minus", "silem-minus-own", "silem-mlp")
+METHODS = (
+    "ppo", "random", "silem", "silem-minus", "silem-minus-own", "silem-mlp", "tpil", "peng20",
+)  # fmt: skip
 """``ppo`` is an expert (true reward); ``random`` acts uniformly at random and is only evaluated;
-``silem-minus-own`` is SILEM-minus from the learner's own body's expert."""
+``silem-minus-own`` is SILEM-minus from the learner's own body's expert; ``tpil`` is third-person
+imitation learning; ``peng20`` is SILEM-minus from demonstrations retargeted to the learner's body
+by inverse kinematics."""
 
 TRANSFORMS = {
     "silem": "affine",
     "silem-minus": "identity",
     "silem-minus-own": "identity",
     "silem-mlp": "mlp",
+    "peng20": "identity",
 }
-"""The state transformer of each imitation method."""
+"""The state transformer of each method that has SILEM's structure."""
+
+IMITATORS = (*TRANSFORMS, "tpil")
+"""The methods that learn from demonstrations."""
+
+STARTS = ("standing", "demonstration")
+"""What episodes of a humanoid start from: the standing pose with small noise, or states of the
+demonstration retargeted to the learner's body (off by default: the paper argues against needing
+them)."""
+
+L2_FORMS = ("deviation", "plain")
 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
 _BEST = paper.best_combination("HC0", "silem", "HC0")
-_POLICY = ("ppo", *TRANSFORMS)
-_DISCRIMINATOR = tuple(TRANSFORMS)
+_POLICY = ("ppo", *IMITATORS)
+_DISCRIMINATOR = IMITATORS
 _TRANSFORM = tuple(method for method, kind in TRANSFORMS.items() if kind != "identity")
 
 
-def _used_by(methods: tuple[str, ...], default: Any) -> Any:
-    return dataclasses.field(default=default, metadata={"methods": methods})
+def _used_by(methods: tuple[str, ...], default: Any, *, optional: bool = False) -> Any:
+    """Declare a hyper-parameter; an optional one is no part of a run's identity at its default."""
+    return dataclasses.field(default=default, metadata={"methods": methods, "optional": optional})
 
 
 @dataclass(frozen=True)
@@ -63,6 +79,13 @@ class HyperParameters:
     transform_learning_rate: float = _used_by(_TRANSFORM, 1e-4)
     disc_entropy_coef: float = _used_by(_DISCRIMINATOR, 1e-3)
     gradient_penalty: float = _used_by(_DISCRIMINATOR, 1.0)  # 0 switches it off
+    # Of the humanoids alone; 0 where they do not apply.
+    transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True)  # w_d
+    transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True)  # w_b
+    transform_l2_form: str = _used_by(("silem",), L2_FORMS[0], optional=True)
+    gradient_reversal_coef: float = _used_by(("tpil",), 1.0)  # C_g
+    ankle_range_rad: float = _used_by(METHODS, 0.0, optional=True)  # a, of Atlas
+    starts: str = _used_by(_POLICY, STARTS[0], optional=True)
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -78,13 +101,32 @@ class HyperParameters:
             if method in field.metadata["methods"]
         ]
 
+    def of_method(self, method: str) -> dict[str, Any]:
+        """Return what identifies a run of a method: the values it uses, by name.
 
-_MAY_BE_ZERO = ("disc_entropy_coef", "gradient_penalty")
+        Optional hyper-parameters are left out at their defaults.
+        """
+        fields = {field.name: field for field in dataclasses.fields(self)}
+        values = {name: getattr(self, name) for name in self.names_used_by(method)}
+        return {
+            name: value
+            for name, value in values.items()
+            if not (fields[name].metadata["optional"] and value == fields[name].default)
+        }
+
+
+_CHOICES = {"starts": STARTS, "transform_l2_form": L2_FORMS}
+_MAY_BE_ZERO = (
+    "disc_entropy_coef", "gradient_penalty", "transform_l2_scale", "transform_l2_bias",
+    "gradient_reversal_coef", "ankle_range_rad",
+)  # fmt: skip
 _AT_MOST_ONE = ("gamma", "gae_lambda", "transform_lr_decay")
 
 
 def _checked(name: str, default: Any, value: Any) -> Any:
     """Return a hyper-parameter's value in its field's type, or raise SilemError."""
+    if name in _CHOICES:
+        return choose(name, value, _CHOICES[name])
     if isinstance(default, tuple):
         if not isinstance(value, list | tuple) or not value:
             raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("MUJOCO_GL", "egl")  # before mujoco is imported: no display is needed
+import weakref
 
 import mujoco
 import numpy as np
 
 from silem.envs.mujoco import Simulation
 from silem.errors import SilemError
+from silem.offscreen import BACKEND
 
 _AZIMUTH_DEG, _ELEVATION_DEG = 125.0, -12.0  # seen from the front left, from a little above
 _LOOK_AT_M = 0.55  # share of the standing head's height that is in the middle of the picture
@@ -19,7 +18,11 @@ _VARIED = (0.91, 0.44, 0.16, 1.0)  # the links whose length sets the body apart
 
 
 class MujocoCamera:
-    """Takes pictures of a simulation's first body, always from the same side, in the middle."""
+    """Takes pictures of a simulation's first body, always from the same side, in the middle.
+
+    Attributes:
+        close: `close()` gives the renderer's memory back; calling it twice is allowed.
+    """
 
     def __init__(self, simulation: Simulation, width: int = 640, height: int = 480) -> None:
         """Set up the camera.
@@ -45,9 +48,11 @@ class MujocoCamera:
             self._renderer = mujoco.Renderer(self._model, height, width)
         except Exception as error:  # each OpenGL backend raises its own kind
             raise SilemError(
-                f"no offscreen rendering with MUJOCO_GL={os.environ['MUJOCO_GL']!r} ({error});"
-                " the physics works without; allowed: egl, osmesa, glfw"
+                f"no offscreen rendering with MUJOCO_GL={BACKEND!r} ({error});"
+                " the physics works without; allowed: egl, osmesa, or glfw with a display"
             ) from error
+        # also at the interpreter's exit, while OpenGL is still there
+        self.close = weakref.finalize(self, self._renderer.close)
 
     def picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the body as it is now."""
@@ -55,10 +60,6 @@ class MujocoCamera:
         self._camera.lookat[:2] = data.qpos[:2]
         self._renderer.update_scene(data, self._camera)
         return self._renderer.render()
-
-    def close(self) -> None:
-        """Give the renderer's memory back."""
-        self._renderer.close()
 
 
 def _painted(simulation: Simulation) -> mujoco.MjModel:

@@ -17,6 +17,8 @@ from silem.learning import state, update
 from silem.learning.flat_actor_critic import FlatActorCritic, Losses
 from silem.learning.normalizer import RunningNormalizer
 
+_EPISODE_STATS = {"r": "return_mean", "speed_m_s": "speed_m_s", "l": "episode_length"}
+
 
 class PPO(SB3PPO):
     """Proximal policy optimisation (Schulman et al., 2017) on stable-baselines3's interface.
@@ -237,7 +239,7 @@ class PPO(SB3PPO):
     def _record_episodes(self) -> None:
         """Fill ``iteration_stats`` with what this iteration's finished episodes showed."""
         stats: dict[str, float] = {}
-        for key, name in (("r", "return_mean"), ("speed_m_s", "speed_m_s")):
+        for key, name in _EPISODE_STATS.items():
             values = [episode[key] for episode in self._episodes if key in episode]
             if values:
                 stats[name] = float(np.mean(values))

@@ -16,6 +16,7 @@ import numpy as np
 
 from silem import files
 from silem.errors import SilemError
+from silem.study.curve import COLUMNS
 
 CHECKPOINT = "checkpoint.safetensors"
 _MODEL = "model/"
@@ -88,6 +89,8 @@ class Checkpoint:
             )
         except (SilemError, KeyError, ValueError) as error:
             raise SilemError(f"damaged checkpoint: {error}; {advice}") from error
+        if found.curve.ndim != 2 or found.curve.shape[1] != len(COLUMNS):
+            raise SilemError(f"{path} is of an older version: its curve is another; {advice}")
         if found.run_id != run_id:
             raise SilemError(f"{path} is a checkpoint of {found.run_id}, not {run_id}; {advice}")
         if found.demonstrations_sha256 != demonstrations_sha256:

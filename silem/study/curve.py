@@ -19,7 +19,12 @@ COLUMNS = (
     "disc_acc_learner",
     "transform_loss",
     "policy_std",
+    "episode_length",
+    "domain_acc",
 )
+_ALWAYS = 10
+"""The first columns stand in every published curve; a later one only where it has numbers."""
+
 MAX_ROWS = 200
 
 
@@ -51,8 +56,10 @@ def to_csv(curve: np.ndarray) -> str:
     """Return a thinned curve as CSV text: 5 significant digits, blank for NaN."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for values in thinned(curve):
+    rows = thinned(curve)
+    used = [i for i in range(len(COLUMNS)) if i < _ALWAYS or not np.isnan(rows[:, i]).all()]
+    writer.writerow([COLUMNS[i] for i in used])
+    for values in rows[:, used]:
         numbers = ["" if np.isnan(value) else f"{value:.5g}" for value in values[2:]]
         writer.writerow([*(int(value) for value in values[:2]), *numbers])
     return stream.getvalue()

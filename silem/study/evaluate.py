@@ -14,11 +14,12 @@ import numpy as np
 from tqdm import tqdm
 
 from silem import bodies, seeding
+from silem.bodies import Body
 from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
 from silem.errors import SilemError
+from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.features import INFO_KEY, LearnerFeatures
-from silem.imitation.silem import SILEM
 from silem.imitation.windows import episode_windows
 
 EVALUATION_SEED = seeding.child_seed(0, "evaluation")
@@ -57,9 +58,10 @@ class RandomPolicy:
         return self._generator.uniform(-1.0, 1.0, size).astype(np.float32), None
 
 
-def random_policy(body: str, seed: int = 0) -> RandomPolicy:
+def random_policy(body: Body | str, seed: int = 0) -> RandomPolicy:
     """Return the random policy of a body, for the trial of a seed."""
-    return RandomPolicy(bodies.get(body).action_size, seed)
+    found = bodies.get(body) if isinstance(body, str) else body
+    return RandomPolicy(found.action_size, seed)
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ class Evaluation:
 
 
 def episodes(
-    policy: Policy, body: str, n_episodes: int, seed: int, *, progress: bool = False
+    policy: Policy, body: Body | str, n_episodes: int, seed: int, *, progress: bool = False
 ) -> Iterator[Episode]:
     """Roll out a policy for exactly `n_episodes` episodes.
 
@@ -106,7 +108,7 @@ def episodes(
 
     Args:
         policy: What acts. If it has ``reseed``, its random numbers restart from `seed`.
-        body: The body's name.
+        body: The body, or its name.
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
         progress: Show a progress bar.
@@ -123,7 +125,8 @@ def episodes(
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1
     env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"))
-    bar = tqdm(total=n_episodes, desc=f"episodes of {body}", disable=not progress, leave=False)
+    name = body if isinstance(body, str) else body.name
+    bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
         if hasattr(policy, "reseed"):
             policy.reseed(seeding.child_seed(seed, "policy"))
@@ -155,10 +158,10 @@ def _episode(states: list[np.ndarray], info: dict[str, float]) -> Episode:
 
 def evaluate(
     policy: Policy,
-    body: str,
+    body: Body | str,
     n_episodes: int,
     seed: int = EVALUATION_SEED,
-    model: SILEM | None = None,
+    model: AdversarialImitation | None = None,
     *,
     progress: bool = False,
 ) -> Evaluation:
@@ -166,10 +169,10 @@ def evaluate(
 
     Args:
         policy: What acts (see `episodes`).
-        body: The body's name.
+        body: The body, or its name.
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
-        model: A SILEM model whose discriminator scores the episodes, if any.
+        model: An imitator whose discriminator scores the episodes, if any.
         progress: Show a progress bar.
     """
     returns, speeds, uprights, scores = [], [], [], []

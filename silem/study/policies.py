@@ -17,9 +17,9 @@ def load_policy(record: RunRecord) -> Policy:
     """
     config = record.run_config()
     if config.method == "random":
-        return random_policy(config.body, config.seed)
+        return random_policy(config.learner, config.seed)
     arrays, _ = files.read_tensors(record.file(POLICY))
-    env = make_vec(config.body, n_envs=1)
+    env = make_vec(config.learner, n_envs=1)
     try:
         model = make_policy_model(config, env)
     finally:

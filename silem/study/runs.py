@@ -11,11 +11,11 @@ import numpy as np
 import torch
 
 from silem import demonstrations as demos
-from silem import files, paths, seeding
+from silem import files, paths
 from silem.config import RunConfig
 from silem.demonstrations import Demonstrations
-from silem.envs import make_vec
 from silem.errors import SilemError
+from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.silem import SILEM
 from silem.imitation.transforms import AffineTransform
 from silem.learning.ppo import PPO
@@ -24,7 +24,7 @@ from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
-from silem.study.training import PROGRESS, Segments, make_model, train
+from silem.study.training import PROGRESS, Segments, make_env, make_model, train
 
 LOCK = "run.lock"
 
@@ -117,23 +117,23 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     source = provenance()
     n_episodes = config.budget.n_eval_episodes
     if config.method == "random":
-        policy = random_policy(config.body, config.seed)
-        result = evaluate(policy, config.body, n_episodes, progress=progress)
+        policy = random_policy(config.learner, config.seed)
+        result = evaluate(policy, config.learner, n_episodes, progress=progress)
         training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
         wall_time_s = time.perf_counter() - began
         return _record(config, folder, result, training, source, None, wall_time_s)
 
     demonstrations, sha = load_demonstrations(config)
     start = _start(config, folder, sha or "", source["git_commit"] or "unknown")
-    env = make_vec(config.body, config.budget.n_envs, seeding.child_seed(config.seed, "env"))
+    env = make_env(config)
     try:
         model = make_model(config, env, demonstrations)
         segments = train(model, config, folder, start, progress=progress)
     finally:
         env.close()
     training = _training(config, segments)
-    scorer = model if isinstance(model, SILEM) else None
-    result = evaluate(model, config.body, n_episodes, model=scorer, progress=progress)
+    scorer = model if isinstance(model, AdversarialImitation) else None
+    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.wall_time_s)

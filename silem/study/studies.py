@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from silem.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
 from silem.errors import SilemError, choose
@@ -21,7 +22,7 @@ class Cell:
     method: str
     body: str
     demonstrations: str | None = None
-    overrides: tuple[tuple[str, float], ...] = ()
+    overrides: tuple[tuple[str, Any], ...] = ()
 
     def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
@@ -32,7 +33,8 @@ class Cell:
 
 
 _HALF_CHEETAHS = ("HC0", "HC1", "HC2")
-_FIGURE_2B, _NO_PENALTY = "halfcheetah", "no-gradient-penalty"
+_HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
+_FIGURE_2B, _FIGURE_3B, _NO_PENALTY = "halfcheetah", "humanoids", "no-gradient-penalty"
 _STUDIES = {
     # Figure 2b and Table 1
     _FIGURE_2B: (
@@ -43,7 +45,13 @@ _STUDIES = {
         Cell(_FIGURE_2B, "silem-mlp", "HC0", "HC0"),
         *(Cell(_FIGURE_2B, "random", body) for body in _HALF_CHEETAHS),
     ),
-    # the same with the paper's loss for D, which has no gradient penalty: page "Deviations"
+    # Figures 3b, 4a and 4b
+    _FIGURE_3B: tuple(
+        Cell(_FIGURE_3B, method, body)
+        for method in ("ppo", "silem", "silem-minus", "peng20", "tpil", "random")
+        for body in _HUMANOIDS
+    ),
+    # HalfCheetah with the paper's loss for D, which has no gradient penalty: page "Deviations"
     _NO_PENALTY: tuple(
         Cell(_NO_PENALTY, method, body, "HC0", (("gradient_penalty", 0.0),))
         for method in ("silem", "silem-minus")

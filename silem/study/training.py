@@ -14,27 +14,45 @@ from torch import nn
 from tqdm import tqdm
 
 from silem import files, seeding
-from silem.config import RunConfig
+from silem.config import HUMAN, RunConfig, retargeted
 from silem.demonstrations import Demonstrations
+from silem.envs import make_vec
+from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.silem import SILEM
+from silem.imitation.tpil import TPIL
 from silem.learning.ppo import PPO
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 
 PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
-# What only SILEM's constructor takes, under the same names as in HyperParameters.
-_SILEM_ARGUMENTS = (
+# What only imitators' constructors take, under the same names as in HyperParameters.
+_IMITATION_ARGUMENTS = (
     "window",
     "n_disc_updates",
     "n_transform_updates",
     "transform_lr_decay",
+    "transform_l2_scale",
+    "transform_l2_bias",
+    "transform_l2_form",
     "disc_learning_rate",
     "transform_learning_rate",
     "disc_hidden",
     "disc_entropy_coef",
     "gradient_penalty",
+    "gradient_reversal_coef",
 )
+
+
+def make_env(config: RunConfig) -> VecEnv:
+    """Build a run's training environments."""
+    options = {}
+    if config.hyper.starts == "demonstration":
+        from silem.skeleton.retarget import demonstration_states
+
+        options["starts"] = demonstration_states(retargeted(HUMAN, config.body))
+    seed = seeding.child_seed(config.seed, "env")
+    return make_vec(config.learner, config.budget.n_envs, seed, **options)
 
 
 def make_policy_model(config: RunConfig, env: VecEnv) -> PPO:
@@ -58,16 +76,16 @@ def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | 
         env: The training environments.
         demonstrations: The expert's, at least as many as the run uses; None for an expert.
     """
-    if config.transform is None:
+    if demonstrations is None:
         return make_policy_model(config, env)
-    assert demonstrations is not None
     hyper = config.hyper
     used = hyper.names_used_by(config.method)
-    own = {name: getattr(hyper, name) for name in _SILEM_ARGUMENTS if name in used}
+    own = {name: getattr(hyper, name) for name in _IMITATION_ARGUMENTS if name in used}
+    make: type[AdversarialImitation] = TPIL
+    if config.transform is not None:
+        make, own["transform"] = SILEM, config.transform
     chosen = demonstrations.first(hyper.n_trajectories)
-    return SILEM(
-        "MlpPolicy", env, chosen, transform=config.transform, **own, **_ppo_arguments(config)
-    )
+    return make("MlpPolicy", env, chosen, **own, **_ppo_arguments(config))
 
 
 def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
