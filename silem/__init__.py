@@ -7,7 +7,7 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down
 
-import silem.offscreen  # before anything imports MuJoCo
+import silem.offscreen  # noqa: F401  before anything imports MuJoCo
 from silem import bodies
 from silem.config import RunConfig
 from silem.demonstrations import Demonstrations

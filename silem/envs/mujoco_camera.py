@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import weakref
 
 import mujoco
@@ -13,16 +14,22 @@ from silem.offscreen import BACKEND
 
 _AZIMUTH_DEG, _ELEVATION_DEG = 125.0, -12.0  # seen from the front left, from a little above
 _LOOK_AT_M = 0.55  # share of the standing head's height that is in the middle of the picture
-_DISTANCE = 2.4  # in heights of the standing head
+_DISTANCE = 2.1  # in heights of the standing head
 _VARIED = (0.91, 0.44, 0.16, 1.0)  # the links whose length sets the body apart
 
 
-class MujocoCamera:
-    """Takes pictures of a simulation's first body, always from the same side, in the middle.
+_RENDERERS: weakref.WeakSet[mujoco.Renderer] = weakref.WeakSet()
 
-    Attributes:
-        close: `close()` gives the renderer's memory back; calling it twice is allowed.
-    """
+
+@atexit.register
+def _close_renderers() -> None:
+    """Close what is still open before MuJoCo, at the interpreter's exit, ends OpenGL."""
+    for renderer in _RENDERERS:
+        renderer.close()
+
+
+class MujocoCamera:
+    """Takes pictures of a simulation's first body, always from the same side, in the middle."""
 
     def __init__(self, simulation: Simulation, width: int = 640, height: int = 480) -> None:
         """Set up the camera.
@@ -51,8 +58,7 @@ class MujocoCamera:
                 f"no offscreen rendering with MUJOCO_GL={BACKEND!r} ({error});"
                 " the physics works without; allowed: egl, osmesa, or glfw with a display"
             ) from error
-        # also at the interpreter's exit, while OpenGL is still there
-        self.close = weakref.finalize(self, self._renderer.close)
+        _RENDERERS.add(self._renderer)
 
     def picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the body as it is now."""
@@ -60,6 +66,10 @@ class MujocoCamera:
         self._camera.lookat[:2] = data.qpos[:2]
         self._renderer.update_scene(data, self._camera)
         return self._renderer.render()
+
+    def close(self) -> None:
+        """Give the renderer's memory back; closing twice is allowed."""
+        self._renderer.close()
 
 
 def _painted(simulation: Simulation) -> mujoco.MjModel:

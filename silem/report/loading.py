@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from silem.study.studies import cells, study_configs
 KEYS = ["body", "method", "demonstrations", "seed"]
 COLUMNS = [
     "run_id", *KEYS, "return_mean", "return_std", "normalised", "expert_return", "speed_m_s",
-    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "n_steps", "steps_per_s",
-    "wall_time_s", "commit", "dirty", "command", "returns", "folder",
+    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "planned_iterations", "shorter",
+    "n_steps", "steps_per_s", "wall_time_s", "commit", "dirty", "command", "returns", "folder",
 ]  # fmt: skip
 
 
@@ -31,6 +32,10 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     at the smaller ones also the working folder's, with any seed. The random policy counts once per
     body, because every evaluation meets the same episodes.
 
+    A planned run that is not finished may be stood in for by the longest run that differs from it
+    in nothing but fewer iterations (`Budget.with_iterations`). It is marked ``shorter``, its
+    planned run stays listed as missing, and `results.cell` leaves it out.
+
     Args:
         study: The study.
         budget: The budget.
@@ -40,26 +45,52 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         evaluation episodes; ``normalised`` divides it by ``expert_return``, the mean return of the
         same body's PPO experts in the table (paper, Figure 2), and is NaN where there is none or
         where it is not positive, so that a ratio would mean nothing; ``disc_reward`` is the
-        discriminator's reward of an episode. ``attrs`` holds ``study``, ``budget``, ``missing``
-        (a list of dicts with `KEYS`, ``run_id`` and ``command``) and ``set_aside`` (run ids).
+        discriminator's reward of an episode; ``planned_iterations`` are those of the study's plan.
+        ``attrs`` holds ``study``, ``budget``, ``missing`` (a list of dicts with `KEYS`, ``run_id``
+        and ``command``) and ``set_aside`` (run ids).
 
     Raises:
         SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
     """
     choose("budget", budget, BUDGETS)
-    planned = {c.run_id: c for c in study_configs(study, budget) if not _is_copy(c)}
-    rows, set_aside = [], []
-    for record in _records(study, budget):
-        if _is_planned(record, study, budget):
-            rows.append(_row(record))
-        elif not _is_copy(record.run_config()):
-            set_aside.append(record.run_id)
-    frame = pd.DataFrame(rows, columns=COLUMNS)
+    chosen, shorter, set_aside = _sorted_out(study, budget)
+    plans = [config for config in study_configs(study, budget) if not _is_copy(config)]
+    done = {plan.run_id for _, plan in chosen}
+    missing = [plan for plan in plans if plan.run_id not in done]
+    for plan in missing:
+        if stand_ins := shorter.pop(plan.run_id, []):
+            *others, longest = sorted(stand_ins, key=_n_iterations)
+            chosen.append((longest, plan))
+            set_aside += [record.run_id for record in others]
+    set_aside += [record.run_id for records in shorter.values() for record in records]
+    rows = [_row(record, plan) for record, plan in chosen]
+    frame = pd.DataFrame(rows, columns=COLUMNS).astype({"shorter": bool})
     frame = _with_scores(frame.sort_values(KEYS, key=_order).reset_index(drop=True))
-    present = set(frame["run_id"])
-    missing = [_keys(c) for run_id, c in planned.items() if run_id not in present]
-    frame.attrs = {"study": study, "budget": budget, "missing": missing, "set_aside": set_aside}
+    frame.attrs = {"study": study, "budget": budget, "missing": [_keys(plan) for plan in missing]}
+    frame.attrs["set_aside"] = set_aside
     return frame
+
+
+def _sorted_out(
+    study: str, budget: str
+) -> tuple[list[tuple[RunRecord, RunConfig]], dict[str, list[RunRecord]], list[str]]:
+    """Sort a study's records by the plan.
+
+    Returns:
+        The planned runs with their plans; shorter ones by the planned run's id; and the ids of the
+        runs that are neither.
+    """
+    exact, shorter, set_aside = [], dict[str, list[RunRecord]](), []
+    for record in _records(study, budget):
+        config = record.run_config()
+        plan = _plan(config, study, budget)
+        if plan is None:
+            set_aside += [] if _is_copy(config) else [record.run_id]
+        elif plan.run_id == record.run_id:
+            exact.append((record, plan))
+        else:
+            shorter.setdefault(plan.run_id, []).append(record)
+    return exact, shorter, set_aside
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
@@ -89,19 +120,28 @@ def _is_copy(config: RunConfig) -> bool:
     return config.method == "random" and config.seed != TRIAL_SEEDS[0]
 
 
-def _is_planned(record: RunRecord, study: str, budget: str) -> bool:
-    """Tell whether a record is of a planned configuration, and not one of other settings."""
-    config = record.run_config()
+def _plan(config: RunConfig, study: str, budget: str) -> RunConfig | None:
+    """Return the planned run that a run is, or is a shorter one of; None where there is none."""
     if _is_copy(config) or (BUDGETS[budget].is_evidence and config.seed not in TRIAL_SEEDS):
-        return False
-    return any(
-        cell.config(budget, config.seed).run_id == record.run_id
-        for cell in cells(study)
-        if (cell.method, cell.body) == (config.method, config.body)
-    )
+        return None
+    for cell in cells(study):
+        if (cell.method, cell.body) == (config.method, config.body):
+            plan = cell.config(budget, config.seed)
+            n_iterations = config.budget.n_iterations
+            if n_iterations < plan.budget.n_iterations:
+                shortened = plan.budget.with_iterations(n_iterations)
+                if dataclasses.replace(plan, budget=shortened).run_id == config.run_id:
+                    return plan
+            elif plan.run_id == config.run_id:
+                return plan
+    return None
 
 
-def _row(record: RunRecord) -> dict[str, Any]:
+def _n_iterations(record: RunRecord) -> int:
+    return int(record.config["budget"]["n_iterations"])
+
+
+def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
     evaluation, training, source = record.evaluation, record.training, record.provenance
     return {
         **_keys(record.run_config()),
@@ -111,7 +151,9 @@ def _row(record: RunRecord) -> dict[str, Any]:
         "upright": evaluation["upright"],
         "disc_reward": evaluation["disc_reward_mean"],
         "n_eval_episodes": evaluation["n_episodes"],
-        "n_iterations": record.config["budget"]["n_iterations"],
+        "n_iterations": _n_iterations(record),
+        "planned_iterations": plan.budget.n_iterations,
+        "shorter": record.run_id != plan.run_id,
         "n_steps": training["n_steps"],
         "steps_per_s": training["steps_per_s"],
         "wall_time_s": record.wall_time_s,
@@ -134,8 +176,9 @@ def _keys(config: RunConfig) -> dict[str, Any]:
 
 
 def _with_scores(frame: pd.DataFrame) -> pd.DataFrame:
-    experts = frame[frame["method"] == "ppo"].groupby("body")["return_mean"].mean()
-    expert_return = frame["body"].map(experts).astype(float)
+    experts = frame[(frame["method"] == "ppo") & ~frame["shorter"]]
+    level = experts.groupby("body")["return_mean"].mean()
+    expert_return = frame["body"].map(level).astype(float)
     normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)
     disc_reward = frame["disc_reward"].astype(float)
     return frame.assign(expert_return=expert_return, normalised=normalised, disc_reward=disc_reward)

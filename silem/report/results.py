@@ -24,7 +24,7 @@ from silem.study.studies import cells
 __all__ = [
     "COLUMNS", "KEYS", "body_names", "cell", "context", "describe", "find", "is_evidence",
     "is_planned", "load_curve", "load_records", "load_transform", "missing_runs", "original_body",
-    "scores", "select",
+    "planned_methods", "scores", "select", "shorter", "upright_label",
 ]  # fmt: skip
 
 
@@ -37,28 +37,37 @@ def context(frame: pd.DataFrame) -> tuple[str, str]:
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
     for body, group in frame.groupby("body"):
-        counts = group.loc[group["method"] != "random", "n_iterations"].unique()
+        full = (group["method"] != "random") & ~group["shorter"]
+        counts = group.loc[full, "n_iterations"].unique()
         if len(counts) > 1:
             raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
     return frame.attrs["study"], frame.attrs["budget"]
 
 
 def select(
-    frame: pd.DataFrame, methods: Sequence[str], names: Sequence[str] | None = None
+    frame: pd.DataFrame,
+    methods: Sequence[str],
+    names: Sequence[str] | None = None,
+    *,
+    with_shorter: bool = True,
 ) -> pd.DataFrame:
     """Keep some methods' runs, and some bodies'; the missing runs are narrowed alike.
 
     Args:
         frame: Runs of one study at one budget.
         methods: The methods to keep.
-        names: The bodies to keep; None keeps all.
+        names: The bodies to keep, in the order in which figures show them; None keeps all.
+        with_shorter: Keep the runs of fewer iterations than planned.
     """
     context(frame)
 
     def keeps(method: str, body: str) -> bool:
         return method in methods and (names is None or body in names)
 
-    kept = [keeps(row.method, row.body) for row in frame.itertuples()]
+    kept = [
+        keeps(row.method, row.body) and (with_shorter or not row.shorter)
+        for row in frame.itertuples()
+    ]
     missing = [run for run in frame.attrs["missing"] if keeps(run["method"], run["body"])]
     narrowed = frame[np.array(kept, dtype=bool)].reset_index(drop=True)
     narrowed.attrs = frame.attrs | {"missing": missing}
@@ -73,16 +82,22 @@ def missing_runs(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
-    """List the bodies of a table's study, or those selected, in the registry's order."""
+    """List the bodies of a table's study in the registry's order, or those selected in theirs."""
     study, _ = context(frame)
     known = {cell.body for cell in cells(study)}
-    kept = known & set(frame.attrs.get("bodies", known))
-    return [name for name in bodies.names() if name in kept]
+    return [name for name in frame.attrs.get("bodies", bodies.names()) if name in known]
 
 
 def original_body(frame: pd.DataFrame) -> str:
-    """Return the body whose expert demonstrates to the others, e.g. HC0."""
-    return ORIGINAL_BODIES[bodies.get(body_names(frame)[0]).family]
+    """Return the body whose expert demonstrates to the others, e.g. HC0; "" where a human does."""
+    demonstrator = ORIGINAL_BODIES.get(bodies.get(body_names(frame)[0]).family, "")
+    return demonstrator if demonstrator in bodies.names() else ""
+
+
+def upright_label(frame: pd.DataFrame) -> str:
+    """Say what ``upright`` measures: a humanoid's episode ends where it falls."""
+    walks = bodies.get(body_names(frame)[0]).family == "humanoid"
+    return "share of the episode survived" if walks else "share of time upright"
 
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
@@ -91,9 +106,21 @@ def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     return any(cell.method == method and cell.body == body for cell in cells(study))
 
 
+def planned_methods(frame: pd.DataFrame, methods: Sequence[str]) -> list[str]:
+    """Keep those of some methods that a table's study has cells for."""
+    study, _ = context(frame)
+    known = {cell.method for cell in cells(study)}
+    return [method for method in methods if method in known]
+
+
 def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell: a method on a body, one row per trial."""
-    return frame[(frame["method"] == method) & (frame["body"] == body)]
+    """Return the rows of one cell: a method on a body, one row per trial, no shorter runs."""
+    return frame[(frame["method"] == method) & (frame["body"] == body) & ~frame["shorter"]]
+
+
+def shorter(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
+    """Return one cell's runs of fewer iterations than planned, which stand in for missing ones."""
+    return frame[(frame["method"] == method) & (frame["body"] == body) & frame["shorter"]]
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -102,15 +129,15 @@ def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalise
 
 
 def load_curve(run_id: str) -> pd.DataFrame:
-    """Load a run's learning curve (columns of `silem.study.curve`), NaN where blank.
+    """Load a run's learning curve (columns of `silem.study.curve`), NaN where blank or not kept.
 
     Raises:
         SilemError: There is no such run, or its curve is not the file that was recorded.
     """
     curve = pd.read_csv(find(run_id).file(CURVE))
-    if tuple(curve.columns) != CURVE_COLUMNS:
+    if list(curve.columns) != [name for name in CURVE_COLUMNS if name in curve.columns]:
         raise SilemError(f"the curve of {run_id} has columns {', '.join(curve.columns)}")
-    return curve
+    return curve.reindex(columns=CURVE_COLUMNS)
 
 
 def load_transform(run_id: str) -> dict[str, np.ndarray]:
@@ -137,7 +164,7 @@ def find(run_id: str) -> RunRecord:
 def describe(frame: pd.DataFrame) -> str:
     """Say in one line what a table holds: budget, iterations, runs, missing runs."""
     _, budget = context(frame)
-    trained = frame[frame["method"] != "random"]
+    trained = frame[(frame["method"] != "random") & ~frame["shorter"]]
     by_body = trained.groupby("body")["n_iterations"].first()
     parts = [f"budget {budget}"]
     if by_body.nunique() == 1:
@@ -146,6 +173,8 @@ def describe(frame: pd.DataFrame) -> str:
         listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
         parts[0] += f" (iterations: {listing})"
     parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
+    if n_shorter := int(frame["shorter"].sum()):
+        parts.append(f"{n_shorter} of them shorter than planned")
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)

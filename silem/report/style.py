@@ -85,9 +85,15 @@ METHODS = {
     "silem-minus": MethodStyle("SILEM⁻ ({original} expert)", "#D55E00", "s"),
     "silem-minus-own": MethodStyle("SILEM⁻ (own expert)", "#009E73", "^"),
     "silem-mlp": MethodStyle("SILEM with an MLP", "#CC79A7", "D"),
+    "tpil": MethodStyle("TPIL", "#56B4E9", "v"),
+    "peng20": MethodStyle("Peng20", "#882255", "d"),
     "ppo": MethodStyle("PPO expert", "#444444", "P"),
     "random": MethodStyle("random policy", "#999999", "X"),
 }
+
+# Where a human demonstrates, no expert's body needs naming, and PPO on the true reward is no expert
+# that anybody imitates.
+_WITHOUT_EXPERT = {"silem-minus": "SILEM⁻", "ppo": "PPO, true reward"}
 
 # Bodies of a family differ in one length, so their colours run from light to dark.
 _BODY_COLORS = {"light": (0.80, 0.74, 0.90), "dark": (0.25, 0.07, 0.42)}
@@ -98,13 +104,14 @@ def method(name: str, original: str = "HC0") -> MethodStyle:
 
     Args:
         name: A method of this project.
-        original: The body whose expert demonstrates to the others.
+        original: The body whose expert demonstrates to the others, "" where a human does.
 
     Raises:
         SilemError: If the method is unknown.
     """
     chosen = METHODS[choose("method", name, METHODS)]
-    return MethodStyle(chosen.label.format(original=original), chosen.color, chosen.marker)
+    label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
+    return MethodStyle(label.format(original=original), chosen.color, chosen.marker)
 
 
 def body_color(index: int, count: int) -> str:

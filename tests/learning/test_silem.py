@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 import torch as th
+from point_mass import PointMass, expert_of_point_mass
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import configure
 
@@ -173,35 +175,6 @@ def test_affine_recovers_scale_and_shift_identity_does_not(transform: str, recov
     assert bool(error < 0.25) == recovers
 
 
-class PointMass(gym.Env):
-    """A point on a line that observes place and speed; the expert moves at constant speed."""
-
-    observation_space = gym.spaces.Box(-np.inf, np.inf, (2,))
-    action_space = gym.spaces.Box(-1, 1, (1,))
-
-    def __init__(self) -> None:
-        self.state = np.zeros(2, dtype=np.float32)
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
-        super().reset(seed=seed)
-        self.state, self.steps = np.zeros(2, dtype=np.float32), 0
-        return self.state.copy(), {}
-
-    def step(self, action: np.ndarray) -> tuple:
-        self.state[1] = 0.8 * self.state[1] + 0.2 * float(action[0])
-        self.state[0] = 0.9 * self.state[0] + 0.1 * self.state[1]
-        self.steps += 1
-        return self.state.copy(), float(self.state[1]), False, self.steps == 50, {}
-
-
-def expert_of_point_mass() -> list[np.ndarray]:
-    env = PointMass()
-    states = [env.reset()[0]]
-    for _ in range(50):
-        states.append(env.step(np.array([1.0]))[0])
-    return [np.array(states)]
-
-
 @pytest.mark.parametrize("transform", ["identity", "affine"])
 def test_imitates_an_expert_end_to_end(transform: str) -> None:
     """The environment's reward, unseen in training, rises from about 0 towards the expert's."""
@@ -259,6 +232,14 @@ def test_discrete_actions_take_stable_baselines3s_path() -> None:
     model = SILEM("MlpPolicy", make_vec_env("CartPole-v1", 2, seed=0), demos, n_steps=32)
     model.learn(64)
     assert 0.0 < model.rollout_buffer.rewards.mean() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"), [((7, 4, 2), "(B, 4, 3)"), ((7, 3, 3), "(B, 4, 3)"), ((4, 3), "(4, 3)")]
+)
+def test_windows_of_another_shape_are_refused(shape: tuple[int, ...], message: str) -> None:
+    with pytest.raises(SilemError, match=re.escape(message)):
+        make_model().score_windows(np.zeros(shape, dtype=np.float32))
 
 
 @pytest.mark.parametrize(

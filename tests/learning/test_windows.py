@@ -8,6 +8,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from silem import SILEM, SilemError
+from silem.imitation.features import LearnerFeatures
 from silem.imitation.windows import WindowTracker, episode_windows
 
 
@@ -97,3 +98,36 @@ def test_features_of_the_environment_replace_the_observation() -> None:
 def test_other_feature_width_is_refused() -> None:
     with pytest.raises(SilemError, match=r"3 features per state.*supplies 2"):
         collected_windows(Counter, 3, n_iterations=1)
+
+
+class Diverging(Counter):
+    """From its second episode on it observes what is not a number."""
+
+    def step(self, action: np.ndarray) -> tuple:
+        observation, *rest = super().step(action)
+        return observation * (np.nan if self.episode == 2 else 1.0), *rest
+
+
+def test_features_that_are_not_numbers_stop_the_training() -> None:
+    model = SILEM("MlpPolicy", DummyVecEnv([Diverging]), [np.zeros((5, 2))], n_steps=6, batch_size=6, seed=0)
+    before = model.state_arrays()
+    with pytest.raises(SilemError, match="skeletal features hold NaN"):
+        model.learn(6)
+    for name, array in model.state_arrays().items():
+        np.testing.assert_array_equal(array, before[name])
+
+
+def test_features_of_ended_episodes_are_the_last_states() -> None:
+    """Two environments out of step: one batch holds a terminal and a running state."""
+    env = DummyVecEnv([CounterWithFeatures, CounterWithFeatures])
+    env.reset()
+    env.envs[1].steps = 1
+    of_learner = LearnerFeatures(3)
+    observations = np.zeros((2, 2))
+    for _ in range(2):
+        observations, _, dones, infos = env.step(np.zeros((2, 1)))
+    reached, first = of_learner.reached(env, observations, dones, infos)
+    assert dones.tolist() == [False, True]
+    np.testing.assert_array_equal(reached, [[-1, -2, 7], [-1, -3, 7]])
+    assert list(first) == [1]
+    np.testing.assert_array_equal(first[1], [-2, 0, 7])

@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 
-from silem import files, paths
+from silem import bodies, files, paths
 from silem.config import RunConfig
+from silem.skeleton.features import FEATURES
 from silem.study import curve
 from silem.study.record import RunRecord
 from silem.study.studies import study_configs
 
+HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
 EXPERT_RETURNS = {"HC0": 2450.0, "HC1": 1500.0, "HC2": 820.0}
+EXPERT_RETURNS |= {"Humanoid": 860.0, "HumanoidR": 840.0, "Atlas": 700.0}
 RANDOM_RETURNS = {"HC0": -1555.0, "HC1": -1480.0, "HC2": -1600.0}
+RANDOM_RETURNS |= dict.fromkeys(HUMANOIDS, 4.0)
 NORMALISED = {
     ("silem", "HC0"): 0.93,
     ("silem", "HC1"): 0.81,
@@ -26,8 +30,12 @@ NORMALISED = {
     ("silem-minus-own", "HC1"): 0.94,
     ("silem-minus-own", "HC2"): 0.90,
     ("silem-mlp", "HC0"): -0.80,
+    **{("silem", body): 0.9 for body in HUMANOIDS},
+    **{("silem-minus", body): level for body, level in zip(HUMANOIDS, (0.4, 0.3, 0.7))},
+    **{("tpil", body): level for body, level in zip(HUMANOIDS, (0.2, 0.1, 0.6))},
+    **{("peng20", body): level for body, level in zip(HUMANOIDS, (0.3, 0.2, 0.7))},
 }
-N_FEATURES = 26
+N_FEATURES = {"halfcheetah": 26, "humanoid": len(FEATURES)}
 
 
 def typical_return(config: RunConfig) -> float:
@@ -50,18 +58,15 @@ def write_record(
     if return_mean is None:
         return_mean = typical_return(config) + 70.0 * rng.normal()
     folder = folder or paths.results_dir(config.study) / config.run_id
-    imitates = config.transform is not None
+    imitates = bool(config.demonstrations)
+    walks = bodies.get(config.body).family == "humanoid"
     returns = return_mean + 30.0 * rng.normal(size=config.budget.n_eval_episodes)
     written = {}
     if config.method != "random":
         files.write_text(folder / "curve.csv", _curve(config, return_mean, rng))
         written["curve.csv"] = files.sha256(folder / "curve.csv")
     if config.transform == "affine":
-        length = int(config.body[-1])
-        arrays = {
-            "A": 1 + 0.12 * length * rng.normal(size=N_FEATURES),
-            "b": 0.08 * length * rng.normal(size=N_FEATURES),
-        }
+        arrays = _humanoid_transform(config, rng) if walks else _cheetah_transform(config, rng)
         files.write_npz(folder / "transform.npz", arrays)
         written["transform.npz"] = files.sha256(folder / "transform.npz")
     record = RunRecord(
@@ -73,8 +78,7 @@ def write_record(
             "return_mean": float(returns.mean()),
             "return_std": float(returns.std()),
             "returns": [round(float(value), 3) for value in returns],
-            "speed_m_s": max(0.02, 2.4 * (return_mean + 200) / 2600),
-            "upright": float(np.clip(0.5 + return_mean / 4000, 0, 1)),
+            **_gait(return_mean, walks),
             "disc_reward_mean": disc_reward if imitates else None,
         },
         training={
@@ -103,6 +107,7 @@ def write_study(
     budget: str = "book",
     n_trials: int | None = None,
     without: Mapping[tuple[str, str], int] | None = None,
+    study: str = "halfcheetah",
 ) -> list[RunRecord]:
     """Write a whole made-up study.
 
@@ -110,9 +115,10 @@ def write_study(
         budget: The budget.
         n_trials: Trials per cell.
         without: (method, body) -> how many trials of that cell there are, where fewer.
+        study: The study.
     """
     kept = []
-    for config in study_configs("halfcheetah", budget, n_trials):
+    for config in study_configs(study, budget, n_trials):
         limit = (without or {}).get((config.method, config.body))
         if limit is None or config.seed < limit:
             disc_reward = 466.0 if config.method == "silem-mlp" else 430.0
@@ -120,8 +126,38 @@ def write_study(
     return kept
 
 
+def _gait(return_mean: float, walks: bool) -> dict[str, float]:
+    """How a body moves that earns a return."""
+    if walks:
+        share = float(np.clip(return_mean / 850, 0.02, 1))
+        return {"speed_m_s": 1.6 * share, "upright": min(1.0, 1.1 * share)}
+    upright = float(np.clip(0.5 + return_mean / 4000, 0, 1))
+    return {"speed_m_s": max(0.02, 2.4 * (return_mean + 200) / 2600), "upright": upright}
+
+
+def _cheetah_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """A transform that strays from the identity with the length of the torso."""
+    spread, n = int(config.body[-1]), N_FEATURES["halfcheetah"]
+    return {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
+
+
+def _humanoid_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """The paper's finding: HumanoidR's short left arm scaled up, its long right arm down."""
+    n = N_FEATURES["humanoid"]
+    arrays = {"A": 1 + 0.02 * rng.normal(size=n), "b": 0.02 * rng.normal(size=n)}
+    if config.body == "HumanoidR":
+        for index, feature in enumerate(FEATURES):
+            side = {"left": 1.0, "right": -1.0}.get(feature.name.partition("_")[0], 0.0)
+            if "hand" in feature.name:
+                arrays["A"][index] += 0.4 * side
+            if "elbow" in feature.name:
+                arrays["b"][index] -= 0.3 * side
+    return arrays
+
+
 def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> str:
     """A curve that rises from the random policy's return to the run's own."""
+    walks = bodies.get(config.body).family == "humanoid"
     n = config.budget.n_iterations
     share = 1 - np.exp(-5 * np.arange(1, n + 1) / n)
     start = RANDOM_RETURNS[config.body]
@@ -131,7 +167,9 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
         stats = {"policy_std": 1 - 0.8 * share[i]}
         if i % 4 == 3:  # an episode ends only now and then
             stats |= {"return_mean": returns[i], "speed_m_s": max(0, 2.4 * returns[i] / 2600)}
-        if config.transform is not None:
+            if walks:
+                stats |= {"speed_m_s": returns[i] / 530, "episode_length": 20 + 980 * share[i]}
+        if config.demonstrations:
             stats |= {"disc_reward": 450 * share[i] + 12 * rng.normal(), "disc_loss": 1.2}
         rows.append(curve.row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
     return curve.to_csv(np.array(rows))

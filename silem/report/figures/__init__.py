@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from silem.report.figures.humanoids import humanoid_scores
 from silem.report.figures.learning import learning_curves, transforms
 from silem.report.figures.sources import runs_of
 from silem.report.figures.trials import affine_or_mlp, experts, gaits, normalised_scores
@@ -10,6 +11,7 @@ __all__ = [
     "affine_or_mlp",
     "experts",
     "gaits",
+    "humanoid_scores",
     "learning_curves",
     "normalised_scores",
     "runs_of",

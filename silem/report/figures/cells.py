@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from silem.study.statistics import Summary
 Draw = Callable[[Axes, float, np.ndarray, str, str], None]
 """Draws values (N,) of a method on a body at a place on the x axis."""
 
+LEVEL_DASHES = (0, (4, 3))
 _DOTS = 0.085  # the single trials stand this far right of their cell's range
 
 
@@ -35,14 +36,24 @@ def draw_cells(
         methods: The methods, left to right.
         column: The column of the table to draw.
         draw: Draws one cell that has values; a cell without becomes an empty slot with the reason.
+            Runs that are shorter than planned are crosses in either case.
     """
+    for x, method, body in places(frame, methods):
+        values = results.scores(frame, method, body, column)
+        crosses = results.shorter(frame, method, body)[column].dropna()
+        if len(values):
+            draw(axes, x, values, method, body)
+        elif crosses.empty:
+            style.empty_slot(axes, x, _reason(frame, method, body))
+        _draw_crosses(axes, x, crosses, style.method(method))
+
+
+def places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
+    """Yield every cell's place on the x axis, its method and its body; bodies are 1 apart."""
+    width = 0.81 / len(methods)
     for body_index, body in enumerate(results.body_names(frame)):
-        for x, method in zip(_slots(body_index, len(methods)), methods, strict=True):
-            values = results.scores(frame, method, body, column)
-            if len(values):
-                draw(axes, x, values, method, body)
-            else:
-                style.empty_slot(axes, x, _reason(frame, method, body))
+        for index, method in enumerate(methods):
+            yield body_index + (index - (len(methods) - 1) / 2) * width, method, body
 
 
 def draw_range(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
@@ -73,14 +84,25 @@ def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow
     axes.plot([x], [y], mfc=face, mec=edge, mew=width, **line)
 
 
-def body_ticks(axes: Axes, frame: pd.DataFrame, *, with_scale: bool = False) -> None:
-    """Name each body under the axis and, if wanted, the return of its expert, its scale."""
+def _draw_crosses(axes: Axes, x: float, values: pd.Series, look: style.MethodStyle) -> None:
+    """Draw runs of fewer iterations than planned, as crosses in the method's colour."""
+    axes.plot(np.full(len(values), x), values, "x", ms=6.5, mew=1.8, color=look.color, zorder=5)
+
+
+def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
+    """Name each body under the axis.
+
+    Args:
+        axes: The panel.
+        frame: The runs.
+        scale: What to call the return of a body's PPO runs, which then stands under its name.
+    """
     names = results.body_names(frame)
     labels = []
     for body in names:
         returns = results.scores(frame, "ppo", body, "return_mean")
-        level = f"expert {style.number(returns.mean())}" if len(returns) else "no expert"
-        labels.append(f"{body}\n{level}" if with_scale else body)
+        level = f"{scale} {style.number(returns.mean())}" if len(returns) else f"no {scale}"
+        labels.append(f"{body}\n{level}" if scale else body)
     axes.set_xticks(range(len(names)), labels)
     axes.set_xlim(-0.5, len(names) - 0.5)
     axes.tick_params(axis="x", length=0)
@@ -88,15 +110,23 @@ def body_ticks(axes: Axes, frame: pd.DataFrame, *, with_scale: bool = False) -> 
 
 def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
     """Write each cell's number of trials under it; leave room with `room_for_counts`."""
-    for body_index, body in enumerate(results.body_names(frame)):
-        for x, method in zip(_slots(body_index, len(methods)), methods, strict=True):
-            count = len(results.scores(frame, method, body, column))
-            if count:
-                axes.text(
-                    x, 0.025, f"n={count}", transform=axes.get_xaxis_transform(), ha="center",
-                    fontsize=7 if len(methods) > 3 else 7.5, color=style.MUTED,
-                    bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-                )  # fmt: skip
+    for x, method, body in places(frame, methods):
+        count = len(results.scores(frame, method, body, column))
+        if count:
+            axes.text(
+                x, 0.025, f"n={count}", transform=axes.get_xaxis_transform(), ha="center",
+                fontsize=7 if len(methods) > 3 else 7.5, color=style.MUTED,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+            )  # fmt: skip
+
+
+def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str) -> None:
+    """Draw a method's mean on each body as a dashed level across the body's slots."""
+    for index, body in enumerate(results.body_names(frame)):
+        values = results.scores(frame, method, body, column)
+        if len(values):
+            ends, level = [index - 0.44, index + 0.44], float(values.mean())
+            axes.plot(ends, [level, level], color=style.MUTED, lw=1.2, ls=LEVEL_DASHES, zorder=1.8)
 
 
 def room_for_counts(axes: Axes, lowest: float, highest: float) -> None:
@@ -117,10 +147,9 @@ def handles(looks: Sequence[style.MethodStyle]) -> list[Line2D]:
     ]
 
 
-def _slots(body_index: int, count: int) -> np.ndarray:
-    """Places of `count` methods on the x axis, where bodies' centres are 1 apart."""
-    width = 0.81 / count
-    return body_index + (np.arange(count) - (count - 1) / 2) * width
+def cross_handle() -> Line2D:
+    """Return the legend entry for runs that are shorter than planned."""
+    return Line2D([], [], ls="none", marker="x", color=style.MUTED, mew=1.8, label="shorter run")
 
 
 def _reason(frame: pd.DataFrame, method: str, body: str) -> str:

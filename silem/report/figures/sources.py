@@ -6,21 +6,31 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from silem.config import METHODS
-from silem.errors import choose
+from silem.errors import SilemError, choose
 from silem.report import results, style
 
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
 """The groups of Figure 2b, in the paper's order."""
 
+COMPARED = ("silem", "silem-minus", "tpil", "peng20")
+"""The methods of Figure 3b."""
+
+_ALL = tuple(dict.fromkeys((*IMITATORS, *COMPARED)))
+
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
-    "normalised_scores": (("ppo", *IMITATORS), None),
-    "gaits": (("ppo", *IMITATORS), None),
+    "normalised_scores": (("ppo", *_ALL), None),
+    "gaits": (("ppo", *_ALL), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
     "transforms": (("silem",), None),
+    "humanoid_scores": (("ppo", *COMPARED), ("Atlas", "Humanoid", "HumanoidR")),
+    "affine_transforms": (("silem",), ("Humanoid", "HumanoidR")),
 }
+
+# The figures that mark runs which are shorter than planned; the others leave them out.
+_WITH_SHORTER = ("learning_curves", "humanoid_scores", "affine_transforms")
 
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
@@ -31,10 +41,22 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
         frame: Runs of one study at one budget.
 
     Raises:
-        SilemError: There is no such figure, or the table mixes budgets.
+        SilemError: There is no such figure, its bodies are not the study's, or the table mixes
+            budgets.
     """
     methods, names = _SHOWN[choose("figure", figure, _SHOWN)]
-    return results.select(frame, methods, names)
+    study, _ = results.context(frame)
+    if names and not set(names) <= (known := set(results.body_names(frame))):
+        raise SilemError(
+            f"{figure} shows {', '.join(names)}; the runs of study {study!r} are of"
+            f" {', '.join(sorted(known))}"
+        )
+    return results.select(frame, methods, names, with_shorter=figure in _WITH_SHORTER)
+
+
+def imitators(frame: pd.DataFrame) -> list[str]:
+    """List the imitating methods that a table's study compares, in the paper's order."""
+    return results.planned_methods(frame, _ALL)
 
 
 def footer(figure: Figure, frame: pd.DataFrame, note: str = "") -> None:

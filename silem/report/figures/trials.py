@@ -11,18 +11,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from silem import paper, seeding
+from silem import bodies, paper, seeding
 from silem.report import results, style
 from silem.report.figures import cells, sources
-from silem.report.figures.sources import IMITATORS
 from silem.study import statistics
 
-_LEVEL_DASHES = (0, (4, 3))
 _HOLLOW = "hollow: one trial, so no range"
 
 
 def normalised_scores(frame: pd.DataFrame, bootstrap_seed: int = 0) -> Figure:
-    """Draw Figure 2b: normalised scores of SILEM and SILEM⁻ on every body.
+    """Draw Figure 2b: normalised scores of SILEM, SILEM⁻ and their rivals on every body.
 
     Left as in the paper, minimum, mean and maximum over trials, with the trials themselves as
     dots; right the interquartile mean with its 95 % bootstrap interval. A cell with one trial has
@@ -33,7 +31,8 @@ def normalised_scores(frame: pd.DataFrame, bootstrap_seed: int = 0) -> Figure:
         bootstrap_seed: Seed of the resampling.
     """
     frame = sources.runs_of("normalised_scores", frame)
-    looks = [style.method(m, results.original_body(frame)) for m in IMITATORS]
+    methods = sources.imitators(frame)
+    looks = [style.method(m, results.original_body(frame)) for m in methods]
 
     def interval(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
         generator = seeding.generator(bootstrap_seed, "bootstrap", method, body)
@@ -46,13 +45,13 @@ def normalised_scores(frame: pd.DataFrame, bootstrap_seed: int = 0) -> Figure:
         right.set(title="Interquartile mean, 95 % interval")
         for axes, draw in ((left, cells.draw_range), (right, interval)):
             level = paper.number("expert_level")
-            axes.axhline(level, color=style.MUTED, lw=1, ls=_LEVEL_DASHES)
-            cells.body_ticks(axes, frame, with_scale=True)
-            cells.draw_cells(axes, frame, IMITATORS, "normalised", draw)
+            axes.axhline(level, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
+            cells.body_ticks(axes, frame, scale="expert")
+            cells.draw_cells(axes, frame, methods, "normalised", draw)
         cells.room_for_counts(left, 0.0, 1.05)
         for axes in (left, right):
-            cells.trial_counts(axes, frame, IMITATORS, "normalised")
-        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=3)
+            cells.trial_counts(axes, frame, methods, "normalised")
+        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=4)
         sources.footer(figure, frame, f"{_HOLLOW} and no interval")
     return figure
 
@@ -67,18 +66,18 @@ def gaits(frame: pd.DataFrame) -> Figure:
         frame: Runs of one study at one budget.
     """
     frame = sources.runs_of("gaits", frame)
-    methods = (*IMITATORS, "ppo")
+    methods = [*sources.imitators(frame), "ppo"]
     looks = [style.method(m, results.original_body(frame)) for m in methods]
     with style.applied():
         figure, panels = style.new_figure(3.4, ncols=2)
-        titles = {"speed_m_s": "Forward speed (m/s)", "upright": "Share of time upright"}
+        titles = {"speed_m_s": "Forward speed (m/s)", "upright": _upright_title(frame)}
         for axes, (column, title) in zip(panels, titles.items(), strict=True):
             axes.set(title=title)
             cells.body_ticks(axes, frame)
             cells.draw_cells(axes, frame, methods, column, cells.draw_range)
             cells.room_for_counts(axes, 0.0, 1.0)
             cells.trial_counts(axes, frame, methods, column)
-        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=4)
+        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=5)
         sources.footer(figure, frame, f"minimum, mean, maximum over trials; {_HOLLOW}")
     return figure
 
@@ -87,7 +86,7 @@ def experts(frame: pd.DataFrame) -> Figure:
     """Draw the PPO experts beside the random policy: return, forward speed and time upright.
 
     The speed tells what a return means: a body that only stands collects the alive bonus. Amber
-    lines mark the paper's two numbers, which it gives for HC0 alone.
+    marks are the paper's: its two numbers for HC0, or the humanoids' highest possible return.
 
     Args:
         frame: Runs of one study at one budget.
@@ -97,7 +96,7 @@ def experts(frame: pd.DataFrame) -> Figure:
     titles = {
         "return_mean": "Return of an episode",
         "speed_m_s": "Forward speed (m/s)",
-        "upright": "Share of time upright",
+        "upright": _upright_title(frame),
     }
     with style.applied():
         figure, panels = style.new_figure(3.1, ncols=3)
@@ -109,10 +108,10 @@ def experts(frame: pd.DataFrame) -> Figure:
             axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
             axes.autoscale_view(scalex=False)
         _thousands(panels[0])
-        _paper_lines(panels[0])
         panels[2].set_ylim(-0.04, 1.08)
-        handles = cells.handles([style.method(m) for m in methods])
-        handles.append(Line2D([], [], color=style.PAPER, lw=2, label="the paper's HC0"))
+        handles = cells.handles([style.method(m, results.original_body(frame)) for m in methods])
+        if label := _paper_marks(panels[0], frame):
+            handles.append(Line2D([], [], color=style.PAPER, lw=2, label=label))
         figure.legend(handles=handles, loc="outside upper left", ncols=3)
         counts = [
             f"{body} {len(results.cell(frame, 'ppo', body))}" for body in results.body_names(frame)
@@ -172,18 +171,32 @@ def _level(axes: Axes, returns: np.ndarray, method: str) -> None:
     """Mark a method's mean return across the panel."""
     if len(returns):
         mean = float(returns.mean())
-        axes.axhline(mean, color=style.MUTED, lw=1, ls=_LEVEL_DASHES)
+        axes.axhline(mean, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
         axes.annotate(
             style.method(method).label, (1, mean), xycoords=("axes fraction", "data"),
             xytext=(0, 3), textcoords="offset points", ha="right", fontsize=8, color=style.MUTED,
         )  # fmt: skip
 
 
-def _paper_lines(axes: Axes) -> None:
-    """Mark the paper's returns of HC0's expert and of the random policy."""
-    for name in ("expert_return", "random_return"):
-        value = paper.number(name)
-        axes.plot([-0.42, 0.42], [value, value], color=style.PAPER, lw=2, zorder=1.5)
+def _paper_marks(axes: Axes, frame: pd.DataFrame) -> str:
+    """Mark the returns that the paper gives for a study's bodies; return what to call them."""
+    names = results.body_names(frame)
+    if "HC0" in names:
+        place = names.index("HC0")
+        for name in ("expert_return", "random_return"):
+            value = paper.number(name)
+            axes.plot(
+                [place - 0.42, place + 0.42], [value, value], color=style.PAPER, lw=2, zorder=1.5
+            )
+        return "the paper's HC0"
+    if bodies.get(names[0]).family == "humanoid":
+        axes.axhline(paper.number("humanoid_max_return"), color=style.PAPER, lw=2, zorder=1.5)
+        return "highest possible return"
+    return ""
+
+
+def _upright_title(frame: pd.DataFrame) -> str:
+    return results.upright_label(frame).capitalize()
 
 
 def _thousands(axes: Axes) -> None:
