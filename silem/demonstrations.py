@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from silem import files, paths
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 
 MANIFEST = "manifest.json"
+_OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of every file
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,15 @@ class Demonstrations:
         returns: The expert's return per trajectory, or an empty tuple where it is unknown.
         body: The expert's body.
         expert_run_id: The run whose policy was rolled out, "" where there is none.
+        extra: What else is known of the states, by name ("qpos", "points", ...): arrays of one row
+            per state, the trajectories one after another. Imitators never see them.
     """
 
     features: tuple[np.ndarray, ...]
     returns: tuple[float, ...] = ()
     body: str = ""
     expert_run_id: str = ""
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.features:
@@ -44,6 +49,13 @@ class Demonstrations:
                 )
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
+        n_states = sum(len(array) for array in self.features)
+        for name, array in self.extra.items():
+            if name in _OWN or array.shape[:1] != (n_states,):
+                raise SilemError(
+                    f"extra array {name!r} has shape {array.shape}; allowed: {n_states} rows, and a"
+                    f" name other than {', '.join(_OWN)}"
+                )
 
     @property
     def n_features(self) -> int:
@@ -54,7 +66,13 @@ class Demonstrations:
         """Return the first ``n`` trajectories; raises SilemError if there are fewer."""
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
-        return Demonstrations(self.features[:n], self.returns[:n], self.body, self.expert_run_id)
+        n_states = sum(len(array) for array in self.features[:n])
+        return replace(
+            self,
+            features=self.features[:n],
+            returns=self.returns[:n],
+            extra={name: array[:n_states] for name, array in self.extra.items()},
+        )
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""
@@ -67,6 +85,7 @@ class Demonstrations:
                 "returns": np.array(self.returns, dtype=np.float64),
                 "body": np.array(self.body),
                 "expert_run_id": np.array(self.expert_run_id),
+                **self.extra,
             },
         )
 
@@ -77,7 +96,7 @@ class Demonstrations:
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:
-        """Read demonstrations by expert body ("HC0") or from a file.
+        """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
         Raises:
             SilemError: If there is no such file, or it is truncated, pickled, not a
@@ -85,35 +104,58 @@ class Demonstrations:
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
-        missing = {"features", "lengths", "returns", "body", "expert_run_id"} - arrays.keys()
+        missing = set(_OWN) - arrays.keys()
         if missing:
             raise SilemError(f"{path.name} is no demonstrations file: it lacks {sorted(missing)}")
-        lengths = arrays["lengths"]
-        if lengths.sum() != len(arrays["features"]):
+        features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
+        if lengths.sum() != len(features):
             raise SilemError(f"{path.name} is damaged: trajectory lengths do not add up")
-        parts = np.split(arrays["features"].astype(np.float32), np.cumsum(lengths)[:-1])
-        returns = tuple(float(value) for value in arrays["returns"])
-        return cls(tuple(parts), returns, str(arrays["body"]), str(arrays["expert_run_id"]))
+        parts = np.split(features.astype(np.float32), np.cumsum(lengths)[:-1])
+        return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
 
 
 def file_of(name: str) -> Path:
-    """Return where the demonstrations of expert body ``name`` lie (or would lie)."""
+    """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie."""
     return paths.demonstrations_dir() / (name if name.endswith(".npz") else f"{name}.npz")
 
 
-def publish(name: str, demonstrations: Demonstrations) -> Path:
-    """Save demonstrations under the data folder and enter them in its manifest."""
+def entry(name: str) -> dict[str, Any]:
+    """Return what the manifest says of published demonstrations.
+
+    Raises:
+        SilemError: There are none of this name, or no manifest.
+    """
+    manifest = files.read_json(paths.demonstrations_dir() / MANIFEST)
+    found: dict[str, Any] = manifest[choose("demonstrations", name, manifest)]
+    return found
+
+
+def publish(
+    name: str, demonstrations: Demonstrations, about: Mapping[str, Any] | None = None
+) -> Path:
+    """Save demonstrations under the data folder and enter them in its manifest.
+
+    Args:
+        name: What `Demonstrations.load` finds them by.
+        demonstrations: The demonstrations.
+        about: What else the manifest should say of them, such as source and licence.
+
+    Returns:
+        The file.
+    """
     path = file_of(name)
     demonstrations.save(path)
     manifest_path = path.parent / MANIFEST
     manifest = files.read_json(manifest_path) if manifest_path.exists() else {}
+    returns = demonstrations.returns
     manifest[name] = {
         "body": demonstrations.body,
         "expert_run_id": demonstrations.expert_run_id,
         "n_trajectories": len(demonstrations.features),
         "n_features": demonstrations.n_features,
-        "return_mean": float(np.mean(demonstrations.returns)),
-        "return_std": float(np.std(demonstrations.returns)),
+        "return_mean": float(np.mean(returns)) if returns else None,
+        "return_std": float(np.std(returns)) if returns else None,
+        **(about or {}),
         "sha256": files.sha256(path),
     }
     files.write_json(manifest_path, dict(sorted(manifest.items())))

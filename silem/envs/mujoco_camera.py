@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import weakref
 
 import mujoco
 import numpy as np
@@ -16,16 +15,6 @@ _AZIMUTH_DEG, _ELEVATION_DEG = 125.0, -12.0  # seen from the front left, from a 
 _LOOK_AT_M = 0.55  # share of the standing head's height that is in the middle of the picture
 _DISTANCE = 2.1  # in heights of the standing head
 _VARIED = (0.91, 0.44, 0.16, 1.0)  # the links whose length sets the body apart
-
-
-_RENDERERS: weakref.WeakSet[mujoco.Renderer] = weakref.WeakSet()
-
-
-@atexit.register
-def _close_renderers() -> None:
-    """Close what is still open before MuJoCo, at the interpreter's exit, ends OpenGL."""
-    for renderer in _RENDERERS:
-        renderer.close()
 
 
 class MujocoCamera:
@@ -58,7 +47,8 @@ class MujocoCamera:
                 f"no offscreen rendering with MUJOCO_GL={BACKEND!r} ({error});"
                 " the physics works without; allowed: egl, osmesa, or glfw with a display"
             ) from error
-        _RENDERERS.add(self._renderer)
+        # registered after MuJoCo's own end of OpenGL, so run before it
+        atexit.register(self._renderer.close)
 
     def picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the body as it is now."""
@@ -69,6 +59,7 @@ class MujocoCamera:
 
     def close(self) -> None:
         """Give the renderer's memory back; closing twice is allowed."""
+        atexit.unregister(self._renderer.close)
         self._renderer.close()
 
 
