@@ -109,12 +109,18 @@ def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
 
 
 def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
-    """Write each cell's number of trials under it; leave room with `room_for_counts`."""
+    """Write under each cell its number of trials, and the iterations of shorter runs.
+
+    Leave room with `room_for_counts`.
+    """
     for x, method, body in places(frame, methods):
         count = len(results.scores(frame, method, body, column))
-        if count:
+        short = results.shorter(frame, method, body)["n_iterations"].unique()
+        lines = [f"n={count}"] if count else []
+        lines += ["× " + ", ".join(f"{n:,}" for n in sorted(short))] if len(short) else []
+        if lines:
             axes.text(
-                x, 0.025, f"n={count}", transform=axes.get_xaxis_transform(), ha="center",
+                x, 0.025, "\n".join(lines), transform=axes.get_xaxis_transform(), ha="center",
                 fontsize=7 if len(methods) > 3 else 7.5, color=style.MUTED,
                 bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
             )  # fmt: skip
@@ -129,12 +135,12 @@ def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str) -> None:
             axes.plot(ends, [level, level], color=style.MUTED, lw=1.2, ls=LEVEL_DASHES, zorder=1.8)
 
 
-def room_for_counts(axes: Axes, lowest: float, highest: float) -> None:
+def room_for_counts(axes: Axes, lowest: float, highest: float, share: float = 0.12) -> None:
     """Show at least `lowest` to `highest`, and leave room below for the numbers of trials."""
     low, high = axes.get_ylim()
     low, high = min(low, lowest), max(high, highest)
     span = high - low
-    axes.set_ylim(low - 0.12 * span, high + 0.02 * span)
+    axes.set_ylim(low - share * span, high + 0.02 * span)
     # A fixed number of ticks: else the layout changes them, and with them the labels' width.
     axes.yaxis.set_major_locator(MaxNLocator(7))
 

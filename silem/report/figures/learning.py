@@ -67,47 +67,6 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def transforms(frame: pd.DataFrame) -> Figure:
-    """Draw the affine transforms that were learned: A's diagonal and b, for each feature.
-
-    As Figures 4a and 4b of the paper, with one row per named feature: a small mark per trial, a
-    large one for the trials' mean. An untrained transform has A = 1 and b = 0.
-
-    Args:
-        frame: Runs of one study at one budget.
-
-    Raises:
-        SilemError: Some transform has not as many entries as its body has features.
-    """
-    frame = sources.runs_of("transforms", frame)
-    names = results.body_names(frame)
-    features = feature_names(names[0])
-    with style.applied():
-        figure, (left, right) = style.new_figure(6.4, ncols=2, sharey=True)
-        left.set(title="A, diagonal (1: unchanged)", ylim=(len(features) - 0.4, -0.6))
-        right.set(title="b, offset (0: unchanged)")
-        left.set_yticks(range(len(features)), features)
-        _feature_lines(left, features, neutral=1.0)
-        _feature_lines(right, features, neutral=0.0)
-        handles = []
-        for index, body in enumerate(names):
-            run_ids = results.cell(frame, "silem", body)["run_id"]
-            handles.append(_body_handle(body, index, len(names), len(run_ids)))
-            if len(run_ids) == 0:
-                continue
-            loaded = [results.load_transform(run_id) for run_id in run_ids]
-            for axes, key in ((left, "A"), (right, "b")):
-                values = np.stack([arrays[key] for arrays in loaded])
-                if values.shape[1:] != (len(features),):
-                    raise SilemError(
-                        f"transforms of {body}: {values.shape[1:]} for {len(features)} features"
-                    )
-                _draw_transform(axes, values, index, len(names))
-        figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
-        sources.footer(figure, frame)
-    return figure
-
-
 def _curves(rows: pd.DataFrame) -> list[pd.DataFrame]:
     return [results.load_curve(run_id) for run_id in rows["run_id"]]
 
@@ -168,34 +127,3 @@ def _counts(frame: pd.DataFrame) -> str:
     counts = frame.groupby(["method", "body"]).size()
     low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
     return str(low) if low == high else f"{low} to {high}"
-
-
-def _feature_lines(axes: Axes, features: list[str], neutral: float) -> None:
-    """Draw what lies behind the marks: a line per feature, and where nothing is changed."""
-    axes.grid(axis="y", visible=True)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
-    axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
-    axes.autoscale_view(scaley=False)
-    # Bands tell the torso's features, the joints' and the contacts' apart.
-    joints = [i for i, name in enumerate(features) if name.endswith(("angle", "velocity"))]
-    joints = [i for i in joints if i > features.index("pitch")]
-    axes.axhspan(joints[0] - 0.5, joints[-1] + 0.5, color="#f6f6f6", lw=0, zorder=0)
-
-
-def _draw_transform(axes: Axes, values: np.ndarray, index: int, count: int) -> None:
-    """Draw one body's transforms, values (N, F)."""
-    rows = np.arange(values.shape[1]) + (index - (count - 1) / 2) * 0.26
-    color, marker = style.body_color(index, count), _BODY_MARKERS[index]
-    if len(values) > 1:
-        for trial in values:
-            axes.plot(trial, rows, marker, ms=2.5, color=color, alpha=0.45, mec="none")
-    axes.plot(values.mean(axis=0), rows, marker, ms=5, color=color, mec="white", mew=0.5)
-
-
-def _body_handle(body: str, index: int, count: int, n_trials: int) -> Line2D:
-    return Line2D(
-        [], [], ls="none", marker=_BODY_MARKERS[index], ms=7, mec="white",
-        color=style.body_color(index, count), label=f"{body}, {style.trials(n_trials)}",
-    )  # fmt: skip
