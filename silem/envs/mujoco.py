@@ -93,17 +93,18 @@ class Simulation:
 
     def _advance(self, indices: list[int], actions: np.ndarray) -> list[bool]:
         model, rest, failed = self.model, self.body.n_substeps - 1, []
+        least = self.body.control_step_s - 0.5 * model.opt.timestep
         for index in indices:
             data = self.datas[index]
             self._views[index][0][:] = actions[index]
-            before = data.time
+            due = data.time + least
             mujoco.mj_step2(model, data)
             if rest:
                 mujoco.mj_step(model, data, rest)
             mujoco.mj_step1(model, data)
             mujoco.mj_subtreeVel(model, data)
             self._gather(index)
-            failed.append(data.time <= before)
+            failed.append(data.time < due)
         return failed
 
     def _gather(self, index: int) -> None:

@@ -1,0 +1,255 @@
+"""The humanoids' environments: parity with dm_control, episodes, seeds, threads and bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from dm_control import suite
+
+from silem import bodies
+from silem.bodies import humanoid
+from silem.envs import MujocoEnv, MujocoVecEnv, make_vec
+from silem.envs.mujoco import Simulation
+from silem.errors import SilemError
+from silem.skeleton.features import FEATURES, Landmarks, g
+
+ARM = ("upper_arm", "lower_arm", "hand")
+
+
+def actions(n_steps: int, n_envs: int = 1, size: int = 21, scale: float = 1.0) -> np.ndarray:
+    generator = np.random.default_rng(0)
+    return generator.uniform(-scale, scale, (n_steps, n_envs, size)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """dm_control's walking task and our batch, stepped side by side from the same state."""
+    theirs = suite.load("humanoid", "walk", task_kwargs={"random": 0})
+    theirs.reset()
+    # Falls are part of it: the body never ends an episode.
+    body = dataclasses.replace(bodies.get("Humanoid"), fall_head_m=-1.0)
+    ours = MujocoVecEnv(body, 1, speed_m_s=1.0)
+    ours.reset()
+    data = theirs.physics.data
+    ours.simulation.place(0, data.qpos, data.qvel)
+    rows = []
+    for action in actions(300):
+        wanted = theirs.step(action[0])
+        observations, rewards, _, _ = ours.step(action)
+        expected = np.concatenate([np.atleast_1d(part) for part in wanted.observation.values()])
+        state = theirs.physics.data.qpos.copy(), ours.simulation.datas[0].qpos.copy()
+        rows.append((expected, observations[0], wanted.reward, rewards[0], *state))
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+def test_states_follow_dm_control_bit_for_bit(walked):
+    *_, theirs, ours = walked
+    np.testing.assert_array_equal(theirs, ours)
+    assert np.ptp(theirs[:, 2]) > 0.5  # it did move
+
+
+def test_observation_and_reward_are_dm_controls(walked):
+    observation, ours, reward, our_reward, *_ = walked
+    assert observation.shape == ours.shape == (300, 67)
+    np.testing.assert_allclose(ours, observation, atol=1e-6, rtol=1e-6)
+    np.testing.assert_allclose(our_reward, reward, atol=1e-6)
+    assert reward.max() > 0.05
+
+
+def test_the_speed_target_is_the_demonstrators():
+    env = make_vec("Humanoid", 1)
+    env.reset()
+    slow, fast = (MujocoVecEnv("Humanoid", 1, speed_m_s=speed) for speed in (0.1, 10.0))
+    for other in (slow, fast):
+        other.reset()
+    (action,) = actions(1)
+    ours, slow_reward, fast_reward = (e.step(action)[1][0] for e in (env, slow, fast))
+    assert fast_reward < ours < slow_reward
+
+
+def test_an_episode_ends_at_a_fall_and_its_info_says_so():
+    env = make_vec("Humanoid", 2, seed=1)
+    env.reset()
+    start = env.simulation.read().qpos[0, :2].copy()
+    total = 0.0
+    for step, action in enumerate(actions(200, 2), start=1):
+        before = env.simulation.read()
+        observations, rewards, dones, infos = env.step(action)
+        total += float(rewards[0])
+        if dones[0]:
+            break
+    assert before.head_m[0] >= 1.0  # the step before it stood
+    info = infos[0]
+    assert info["terminal_observation"][21] < 1.0  # the head's height
+    assert not info["TimeLimit.truncated"]
+    episode = info["episode"]
+    assert episode["l"] == step
+    assert episode["r"] == pytest.approx(total, rel=1e-5)
+    assert episode["upright"] == step / 1000
+    # skeletal features are those of the state that ended the episode, then of the new start
+    assert info["skeletal_features"][16] == pytest.approx(info["terminal_observation"][21])
+    assert env.reset_infos[0]["skeletal_features"][16] == pytest.approx(observations[0, 21])
+    assert observations[0, 21] > 1.4
+    np.testing.assert_allclose(start, 0.0)
+
+
+def test_the_step_limit_is_a_truncation():
+    standing = dataclasses.replace(bodies.get("Humanoid"), fall_head_m=-1.0)
+    env = MujocoVecEnv(standing, 1, max_steps=3)
+    env.reset()
+    ends = [env.step(np.zeros((1, 21)))[2:] for _ in range(3)]
+    assert [bool(done[0]) for done, _ in ends] == [False, False, True]
+    assert ends[-1][1][0]["TimeLimit.truncated"]
+
+
+@pytest.mark.parametrize("name", ["Humanoid", "HumanoidR"])
+def test_speed_is_the_straight_way_over_the_time(name: str):
+    env = make_vec(name, 1)
+    env.reset()
+    places = [env.simulation.read().qpos[0, :2]]
+    for action in actions(300):
+        env.simulation.advance(action)  # the same steps, without the episode's bookkeeping
+        places.append(env.simulation.read().qpos[0, :2])
+        if env.simulation.read().head_m[0] < 1.0:
+            break
+    again = make_vec(name, 1)
+    again.reset()
+    for action in actions(300):
+        *_, dones, infos = again.step(action)
+        if dones[0]:
+            break
+    seconds = (len(places) - 1) * 0.025
+    expected = np.linalg.norm(places[-1] - places[0]) / seconds
+    assert infos[0]["episode"]["speed_m_s"] == pytest.approx(expected)
+
+
+def test_features_beside_the_observation_are_g_of_the_state():
+    env = make_vec("HumanoidR", 3)
+    env.reset()
+    for action in actions(10, 3):
+        *_, infos = env.step(action)
+    simulation = env.simulation
+    landmarks = Landmarks(simulation.model, env.body.skeleton)
+    for index, data in enumerate(simulation.datas):
+        expected = g(simulation.model, data, landmarks)
+        np.testing.assert_allclose(infos[index]["skeletal_features"], expected, atol=1e-6)
+    assert env.skeletal_features.shape == (3, len(FEATURES))
+
+
+def test_a_seed_fixes_everything_whatever_happened_before():
+    def roll(env: MujocoVecEnv) -> list[np.ndarray]:
+        env.seed(7)
+        return [env.reset(), *(env.step(action)[0] for action in actions(80, 3))]
+
+    used = make_vec("Humanoid", 3, seed=3)
+    used.reset()
+    for action in actions(5, 3):
+        used.step(action)
+    fresh, again = roll(make_vec("Humanoid", 3)), roll(used)
+    threaded = roll(make_vec("Humanoid", 3, n_threads=2))
+    for a, b, c in zip(fresh, again, threaded, strict=True):
+        np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(a, c)
+    other = make_vec("Humanoid", 3, seed=8)
+    assert not np.array_equal(other.reset(), fresh[0])
+
+
+def test_the_single_environment_is_the_batch_of_one():
+    starts = np.array([bodies.get("Humanoid").standing_pose]), np.full((1, 27), 0.3)
+    single, batch = MujocoEnv("Humanoid", starts=starts), make_vec("Humanoid", 1, starts=starts)
+    first, info = single.reset(seed=0)
+    np.testing.assert_array_equal(first, batch.reset()[0])
+    np.testing.assert_array_equal(info["skeletal_features"], batch.skeletal_features[0])
+    for action in actions(100, scale=3.0):  # beyond the range: both clip
+        a, b = single.step(action[0]), batch.step(action)
+        assert a[1] == pytest.approx(b[1][0])
+        assert a[2] == b[2][0]
+        if a[2]:
+            break
+        np.testing.assert_array_equal(a[0], b[0][0])
+    assert a[2]  # it fell, in both
+    np.testing.assert_array_equal(a[0], b[3][0]["terminal_observation"])
+
+
+def test_episodes_start_from_given_states():
+    body = bodies.get("Humanoid")
+    poses = np.array([body.standing_pose, body.standing_pose])
+    poses[:, 0] = 5.0, 6.0
+    env = make_vec("Humanoid", 8, starts=(poses, np.zeros((2, 27))))
+    env.reset()
+    assert set(env.simulation.read().qpos[:, 0]) == {5.0, 6.0}
+
+
+def test_arms_are_scaled_and_nothing_else():
+    plain, scaled = (
+        mujoco.MjModel.from_xml_string(bodies.get(name).model_xml())
+        for name in ("Humanoid", "HumanoidR")
+    )
+    arms = [f"{side}_{link}" for side in ("left", "right") for link in ARM]
+    for index in range(1, plain.nbody):
+        name = plain.body(index).name
+        same_place = np.array_equal(plain.body_pos[index], scaled.body_pos[index])
+        assert same_place == (name not in arms or name.endswith("upper_arm")), name
+        same_mass = plain.body_mass[index] == scaled.body_mass[index]
+        assert same_mass == (name not in arms or name.endswith("hand")), name
+    for side, factor in humanoid.ARM_FACTORS.items():
+        for link in ARM[1:]:
+            ratio = scaled.body(f"{side}_{link}").pos / plain.body(f"{side}_{link}").pos
+            np.testing.assert_allclose(ratio, factor, rtol=1e-5)
+    assert scaled.body("right_lower_arm").mass > plain.body("right_lower_arm").mass
+    assert scaled.body("left_lower_arm").mass < plain.body("left_lower_arm").mass
+    np.testing.assert_array_equal(plain.actuator_gear, scaled.actuator_gear)
+
+
+def test_distances_are_the_papers():
+    body = bodies.get("Humanoid")
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    torso = data.body("torso").xpos
+    assert np.linalg.norm(data.body("left_foot").xpos - torso) == pytest.approx(1.26, abs=0.005)
+    assert np.linalg.norm(data.body("left_hand").xpos - torso) == pytest.approx(0.40, abs=0.005)
+
+
+def test_standing_pose_has_its_soles_on_the_floor():
+    simulation = Simulation(bodies.get("Humanoid"), 1)
+    simulation.place(0, np.array(simulation.body.standing_pose), np.zeros(27))
+    data = simulation.datas[0]
+    assert data.ncon == 0 or abs(data.contact.dist).max() < 1e-6
+    lowered = np.array(simulation.body.standing_pose)
+    lowered[2] -= 1e-3
+    simulation.place(0, lowered, np.zeros(27))
+    assert data.ncon > 0
+
+
+def test_bad_input_is_refused():
+    env = make_vec("Humanoid", 2)
+    with pytest.raises(SilemError, match="step before reset"):
+        env.step(np.zeros((2, 21)))
+    env.reset()
+    with pytest.raises(SilemError, match=r"actions of shape \(2, 20\); expected \(2, 21\)"):
+        env.step(np.zeros((2, 20)))
+    with pytest.raises(SilemError, match="NaN"):
+        env.step(np.full((2, 21), np.nan))
+    with pytest.raises(SilemError, match="must be above 0"):
+        make_vec("Humanoid", n_threads=0)
+    with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
+        MujocoVecEnv("HC0")
+    with pytest.raises(SilemError, match="arm scaled by -1"):
+        humanoid.model(left_arm=-1)
+    single = MujocoEnv("Humanoid", render_mode="rgb_array")
+    with pytest.raises(SilemError, match="render before reset"):
+        single.render()
+
+
+def test_physics_that_explodes_ends_the_episode_without_reward():
+    env = make_vec("Humanoid", 1)
+    env.reset()
+    env.simulation.datas[0].qvel[:] = 1e12
+    _, rewards, dones, infos = env.step(np.zeros((1, 21)))
+    assert dones[0] and rewards[0] == 0.0
+    assert not infos[0]["TimeLimit.truncated"]
+    assert np.isfinite(infos[0]["terminal_observation"]).all()
