@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from silem.errors import SilemError
 from silem.report import results, style
-from silem.report.features import feature_names
 from silem.report.figures import sources
 
 _QUANTITIES = {
