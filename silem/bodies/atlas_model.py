@@ -7,13 +7,13 @@ needs beside them:
   is what dm_control's humanoid has in its ankles and shoulders, and 1.6 to 3 times as much in its
   hips and knees.
 - **Damping.** Effort over velocity limit, both published: a motor at full torque reaches its
-  velocity limit and no more, the straight torque-speed line of a motor. The published damping
-  (0.1 N m s/rad) lets full torques spin a shin at 80 rad/s, and the model explodes.
+  velocity limit and no more, the straight torque-speed line of a motor. With the published damping
+  (0.1 N m s/rad) random torques make the model explode at this timestep.
 - **Armature.** 0.05 kg m2 for all joints: the ankle's talus alone has 1e-5 kg m2.
 - **Limits** are as stiff as the timestep allows, so that the ankle's range means something.
 - **Contacts.** Each link meets the floor with its largest shape, a foot with the four corners of
-  its sole. Of self-collision only what walking can run into is on: feet and shins of one leg with
-  those of the other. All other shapes are drawn only.
+  its sole (without the narrow tip of the toe, 4 cm). Of self-collision only what walking can run
+  into is on: feet and shins of one leg with those of the other. Other shapes are only drawn.
 - **Welds.** `*_arm_wry2`, published with +-0.001 rad, has neither joint nor motor: 28 of 30 remain.
 """
 
@@ -106,7 +106,7 @@ def robot(ankle_range_rad: float) -> mujoco.MjSpec:
 
 def sole_depth_m() -> float:
     """Return how far a sole lies below its ankle."""
-    sole = _largest(constants()["links"]["l_foot"]["collision"])
+    sole = _sole(constants()["links"]["l_foot"]["collision"])
     return float(sole["size"][2] / 2 - sole["xyz_m"][2])
 
 
@@ -163,28 +163,28 @@ def _add_motor(spec: mujoco.MjSpec, joint: str) -> None:
 
 
 def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
-    """Draw a link's shapes, and let the largest one, or the corners of a sole, meet the floor."""
-    largest = _largest(shapes) if shapes else None
+    """Draw a link's shapes, and let the largest ones, or the corners of a sole, meet the floor."""
     is_foot = name.endswith("foot")
     rgba = atlas_scene.colour(name)
+    largest_m3 = max(map(_volume_m3, shapes), default=0.0)
     for shape in shapes:
-        contact = _SOLID if shape is largest and not is_foot else _BARE
+        is_solid = not is_foot and _volume_m3(shape) == largest_m3
         kind, size = _primitive(shape)
         orientation = _quaternion(shape["rpy_rad"])
+        contact = _SOLID if is_solid else _BARE
         body.add_geom(
             type=kind, size=size, pos=shape["xyz_m"], quat=orientation, rgba=rgba, **contact
         )
-    if is_foot and largest is not None:
-        _add_sole(body, name, largest, rgba)
+    if is_foot:
+        _add_sole(body, name, _sole(shapes), rgba)
     for part, (ends, radius) in _CORES.items():
         if name.endswith(part):
-            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
             body.add_geom(
                 name=f"{name}_core",
-                type=capsule,
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
                 fromto=ends,
                 size=[radius, 0, 0],
-                group=4,
+                group=4,  # which pictures leave out
                 **_BARE,
             )
 
@@ -213,7 +213,8 @@ def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float]]:
     return mujoco.mjtGeom.mjGEOM_SPHERE, [shape["radius"], 0, 0]
 
 
-def _largest(shapes: list[Link]) -> Link:
+def _sole(shapes: list[Link]) -> Link:
+    """Return a foot's main box; the other one is the narrow tip of its toe."""
     return max(shapes, key=_volume_m3)
 
 
