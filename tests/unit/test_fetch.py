@@ -1,0 +1,98 @@
+"""Fetching CMU's files from a stand-in for its server."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import http.server
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from silem import files, paths
+from silem.errors import SilemError
+from silem.skeleton import fetch
+
+NAME = "08/08.asf"
+CONTENT = b"one\ntwo\n"
+
+
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The file as a stand-in for CMU's server serves it; an empty cache."""
+    path = tmp_path / "server" / NAME
+    files.write_bytes(path, CONTENT.replace(b"\n", b"\r\n"))
+    handler = functools.partial(_Quiet, directory=str(tmp_path / "server"))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
+    monkeypatch.setattr(fetch, "URL", f"http://127.0.0.1:{server.server_port}/")
+    monkeypatch.setitem(fetch.SHA256, NAME, hashlib.sha256(CONTENT).hexdigest())
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.delenv(fetch.ENV, raising=False)
+    yield path
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def test_a_file_is_downloaded_once_whatever_its_line_ends(served: Path) -> None:
+    path = fetch.mocap_file(NAME)
+    assert path.read_text() == "one\ntwo\n"  # Python reads CR LF as one line end
+    served.unlink()
+    assert fetch.mocap_file(NAME) == path
+
+
+def test_a_download_of_the_wrong_content_is_kept_aside(served: Path) -> None:
+    served.write_bytes(b"other\n")
+    found = hashlib.sha256(b"other\n").hexdigest()
+    with pytest.raises(SilemError) as error:
+        fetch.mocap_file(NAME)
+    message = str(error.value)
+    assert found in message and fetch.SHA256[NAME] in message
+    aside = paths.data_dir() / "mocap" / f"{NAME}.mismatch"
+    assert str(aside) in message
+    assert aside.read_bytes() == b"other\n"
+    assert os.listdir(aside.parent) == [aside.name]
+    served.write_bytes(CONTENT)
+    assert fetch.mocap_file(NAME).read_bytes() == CONTENT
+
+
+def test_no_network_is_one_error_that_says_where_the_file_belongs(
+    served: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = paths.data_dir() / "mocap" / NAME
+    served.unlink()
+    for url in (fetch.URL, "http://127.0.0.1:9/"):  # not there; nobody listens
+        monkeypatch.setattr(fetch, "URL", url)
+        with pytest.raises(SilemError, match=f"cannot download {url}{NAME}.* put the file at"):
+            fetch.mocap_file(NAME)
+    assert not place.exists()
+    files.write_bytes(place, CONTENT)  # as the error says
+    assert fetch.mocap_file(NAME) == place
+
+
+def test_the_users_own_folder_is_read_and_never_changed(
+    served: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(fetch.ENV, str(tmp_path / "own"))
+    with pytest.raises(SilemError, match=f"own/{NAME} is missing; SILEM_MOCAP_DIR must hold it"):
+        fetch.mocap_file(NAME)
+    own = tmp_path / "own" / NAME
+    files.write_bytes(own, b"other\n")
+    with pytest.raises(SilemError, match=f"expected {fetch.SHA256[NAME]}"):
+        fetch.mocap_file(NAME)
+    assert own.read_bytes() == b"other\n"
+    files.write_bytes(own, CONTENT)
+    assert fetch.mocap_file(NAME) == own
+    with pytest.raises(SilemError, match=r"unknown motion capture file '08/08_12\.amc'"):
+        fetch.mocap_file("08/08_12.amc")
