@@ -74,7 +74,7 @@ BUDGETS = {
 }
 
 _MUJOCO = paper.common("humanoid")
-HUMANOIDS = {
+HUMANOIDS: dict[str, dict[str, int]] = {
     "tiny": {},
     "quick": {"n_envs": 16, "steps_per_iteration": _MUJOCO["steps_per_iteration"]},
     "book": {
@@ -95,10 +95,17 @@ LONGER = {("book", "HC1"): 800}
 
 
 def of_body(budget: Budget, body: str, family: str) -> Budget:
-    """Return a budget with the counts it has on a body, the same for every method there."""
-    if budget != BUDGETS.get(budget.name):
+    """Return a budget with the counts it has on a body, the same for every method there.
+
+    A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
+    stays as it is.
+    """
+    base = BUDGETS.get(budget.name.partition("-")[0])
+    if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
         return budget
+    counts: dict[str, int] = {"n_iterations": LONGER.get((base.name, body), base.n_iterations)}
     if family == "humanoid":
-        return dataclasses.replace(budget, **HUMANOIDS[budget.name])
-    longer = LONGER.get((budget.name, body), budget.n_iterations)
-    return dataclasses.replace(budget, n_iterations=longer)
+        counts |= HUMANOIDS[base.name]
+    if budget != base:
+        del counts["n_iterations"]
+    return dataclasses.replace(budget, **counts)

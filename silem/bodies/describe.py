@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
+import numpy as np
 import pybullet
 
 from silem.bodies import bullet, registry
-from silem.bodies.body import Body
+from silem.bodies.body import Body, BulletBody
 from silem.bodies.shapes import shapes
+
+_ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def describe(name: str) -> dict[str, Any]:
     """Return a body's lengths, masses, joints and actuators.
 
     PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
-    the masses are read from a loaded body.
+    the masses are read from a loaded body; MuJoCo's from the compiled model.
 
     Args:
         name: Name of the body.
@@ -31,24 +35,31 @@ def describe(name: str) -> dict[str, Any]:
         SilemError: If there is no such body.
     """
     body = registry.get(name)
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        robot = bullet.load(body, client)
-        masses = _masses(robot, client)
-        joints = _joints(body, robot, client)
-    finally:
-        pybullet.disconnect(physicsClientId=client)
+    measured = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(body)
     return {
         "name": body.name,
         "family": body.family,
         "description": body.description,
-        "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
-        "masses_kg": masses,
-        "total_mass_kg": sum(masses.values()),
-        "joints": joints,
-        "root_joints": body.root_joints,
+        "lengths_m": measured["lengths_m"],
+        "masses_kg": measured["masses_kg"],
+        "total_mass_kg": sum(measured["masses_kg"].values()),
+        "joints": measured["joints"],
+        "root_joints": body.root_joints if isinstance(body, BulletBody) else (),
         "actuators": {motor.joint: motor.torque_n_m for motor in body.motors},
     }
+
+
+def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        robot = bullet.load(body, client)
+        return {
+            "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
+            "masses_kg": _masses(robot, client),
+            "joints": _joints(body, robot, client),
+        }
+    finally:
+        pybullet.disconnect(physicsClientId=client)
 
 
 def _masses(robot: int, client: int) -> dict[str, float]:
@@ -64,3 +75,23 @@ def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float
     actuated = {motor.joint for motor in body.motors}
     infos = bullet.joint_infos(robot, client)
     return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
+
+
+def _in_mujoco(body: Body) -> dict[str, dict[str, Any]]:
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    lengths = {}
+    for index, (kind, size) in enumerate(
+        zip(model.geom_type.tolist(), model.geom_size, strict=True)
+    ):
+        if (name := model.geom(index).name) and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[name] = round(float(2 * size[1] if kind in _ROUND else size[0]), 6)
+    links = [model.body(index) for index in range(1, model.nbody)]
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    limits = {
+        model.joint(index).name: tuple(model.jnt_range[index].tolist())
+        if model.jnt_limited[index]
+        else None
+        for index in hinges
+    }
+    masses = {link.name: float(link.mass[0]) for link in links if link.mass[0] > 0}
+    return {"lengths_m": lengths, "masses_kg": masses, "joints": limits}

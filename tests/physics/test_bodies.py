@@ -35,7 +35,10 @@ def ends(name: str, geom: str) -> tuple[np.ndarray, np.ndarray]:
 def test_names_are_in_the_papers_order():
     assert bodies.names("halfcheetah") == ["HC0", "HC1", "HC2"]
     assert bodies.names("ant") == [f"Ant{i}" for i in range(7)]
-    assert bodies.names() == bodies.names("halfcheetah") + bodies.names("ant")
+    assert bodies.names("humanoid") == ["Humanoid", "HumanoidR", "Atlas"]
+    assert bodies.names() == [
+        n for f in ("halfcheetah", "ant", "humanoid") for n in bodies.names(f)
+    ]
 
 
 @pytest.mark.parametrize(("name", "file"), [("HC0", "half_cheetah.xml"), ("Ant0", "ant.xml")])
@@ -106,9 +109,16 @@ def test_description_names_what_can_be_printed():
     assert ant["lengths_m"]["aux_1_geom"] == pytest.approx(math.sqrt(0.5), abs=1e-6)
     assert set(ant["actuators"].values()) == {250.0}
     assert len(ant["joints"]) == 8
+    humanoid = bodies.describe("HumanoidR")
+    assert humanoid["lengths_m"]["left_lower_arm"] == pytest.approx(
+        0.16 * math.sqrt(3) / 2, abs=1e-6
+    )
+    assert humanoid["joints"]["left_elbow"] == pytest.approx((-math.pi / 2, math.radians(50)))
+    assert humanoid["actuators"]["left_hip_y"] == 120.0
+    assert humanoid["total_mass_kg"] == pytest.approx(40.844, abs=1e-3)
 
 
-@pytest.mark.parametrize("name", bodies.names())
+@pytest.mark.parametrize("name", bodies.names("halfcheetah") + bodies.names("ant"))
 def test_weighted_parts_stand_for_all_links(name: str, rng: np.random.Generator):
     """The mean that PyBullet's tasks take over all links and the floor, from fewer of them."""
     body = bodies.get(name)

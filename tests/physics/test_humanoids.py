@@ -75,7 +75,7 @@ def test_an_episode_ends_at_a_fall_and_its_info_says_so():
     env.reset()
     start = env.simulation.read().qpos[0, :2].copy()
     total = 0.0
-    for step, action in enumerate(actions(200, 2), start=1):
+    for n_steps, action in enumerate(actions(200, 2), start=1):
         before = env.simulation.read()
         observations, rewards, dones, infos = env.step(action)
         total += float(rewards[0])
@@ -86,9 +86,9 @@ def test_an_episode_ends_at_a_fall_and_its_info_says_so():
     assert info["terminal_observation"][21] < 1.0  # the head's height
     assert not info["TimeLimit.truncated"]
     episode = info["episode"]
-    assert episode["l"] == step
+    assert episode["l"] == n_steps
     assert episode["r"] == pytest.approx(total, rel=1e-5)
-    assert episode["upright"] == step / 1000
+    assert episode["upright"] == n_steps / 1000
     # skeletal features are those of the state that ended the episode, then of the new start
     assert info["skeletal_features"][16] == pytest.approx(info["terminal_observation"][21])
     assert env.reset_infos[0]["skeletal_features"][16] == pytest.approx(observations[0, 21])

@@ -62,11 +62,24 @@ def test_defaults_and_the_supplements_combinations_are_filled_in() -> None:
     assert create("HC2", "silem", n_epochs=3).hyper.n_epochs == 3
 
 
+def body_for(method: str) -> str:
+    """Return a body that the method is for."""
+    return "Humanoid" if method in ("tpil", "peng20") else "HC1"
+
+
 def test_a_budget_changes_counts_only() -> None:
     for method in METHODS:
-        configs = [create("HC1", method, budget=name) for name in BUDGETS]
+        configs = [create(body_for(method), method, budget=name) for name in BUDGETS]
         assert len({config.hyper for config in configs}) == 1
     assert BUDGETS["paper"].n_iterations == paper.common()["n_iterations"]
+    walking = create("Humanoid", "silem", budget="paper").budget
+    common = paper.common("humanoid")
+    assert walking.steps_per_iteration == common["steps_per_iteration"]
+    assert walking.n_iterations == common["n_iterations"]
+    shorter = create("Humanoid", "silem", budget=BUDGETS["paper"].with_iterations(3)).budget
+    assert shorter == dataclasses.replace(walking, name="paper-3", n_iterations=3)
+    odd = Budget("odd", 1, 256, 1, 1, 1, 1)
+    assert create("Humanoid", "silem", budget=odd).budget == odd
     assert max(budget.n_trials for budget in BUDGETS.values()) == len(TRIAL_SEEDS)
 
 
@@ -112,7 +125,8 @@ def test_configurations_survive_json_and_the_command_line(method: str) -> None:
     changed = {"learning_rate": 1e-5, "policy_hidden": [32], "gradient_penalty": 0}
     overrides = {name: value for name, value in changed.items() if name in used}
     budget = BUDGETS["tiny"].with_iterations(9)
-    config = create("HC1", method, None, budget, 7, study="tuning", **overrides)
+    body = body_for(method)
+    config = create(body, method, None, budget, 7, study="tuning", **overrides)
     assert RunConfig.from_dict(config.to_dict()) == config
     words = shlex.split(config.command.removeprefix("python -m silem"))
     assert config_of(parser().parse_args(words)) == config

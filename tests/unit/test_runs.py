@@ -120,7 +120,7 @@ def test_what_a_run_leaves(finished: dict[str, RunRecord]) -> None:
     assert transform["A"].shape == transform["b"].shape == (bodies.get("HC0").observation_size,)
     assert not np.all(transform["A"] == 1)
     rows = (silem.folder / CURVE).read_text().splitlines()
-    assert rows[0].split(",") == list(curve.COLUMNS)
+    assert rows[0].split(",") == list(curve.COLUMNS[:10])  # no episode has ended
     assert [int(row.split(",")[1]) for row in rows[1:]] == [128 * i for i in range(1, 7)]
 
 
@@ -291,9 +291,9 @@ def test_demonstrations_of_an_expert(
 def test_a_diverged_training_does_not_replace_its_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / CHECKPOINT
     weights = np.ones(3, dtype=np.float32)
-    good = Checkpoint("x", 2, 1.0, (), "", np.zeros((2, 3)), {"policy/w": weights})
+    good = Checkpoint("x", 2, 1.0, (), "", np.zeros((2, len(curve.COLUMNS))), {"policy/w": weights})
     good.save(path)
-    bad = Checkpoint("x", 4, 1.0, (), "", np.zeros((4, 3)), {"policy/w": weights * np.nan})
+    bad = Checkpoint("x", 4, 1.0, (), "", np.zeros((4, 12)), {"policy/w": weights * np.nan})
     with pytest.raises(SilemError, match=r"x diverged before iteration 4: policy/w"):
         bad.save(path)
     assert Checkpoint.load(path, "x", "").iteration == 2
@@ -308,7 +308,7 @@ def test_a_published_curve_averages_neighbouring_iterations() -> None:
     returns = thin[:, curve.COLUMNS.index("return_mean")]
     np.testing.assert_array_equal(returns[:4], [np.nan, 4, 8, 12])
     assert curve.to_csv(rows[:1]).splitlines()[1] == "1,10,,,,,,,,"
-    assert curve.to_csv(np.full((1, 10), 123456.789)).splitlines()[1].endswith(",1.2346e+05")
+    assert curve.to_csv(np.full((1, 12), 123456.789)).splitlines()[1].endswith(",1.2346e+05")
 
 
 def test_a_record_that_is_none_is_refused(tmp_path: Path) -> None:
