@@ -97,7 +97,7 @@ def original_body(frame: pd.DataFrame) -> str:
 def upright_label(frame: pd.DataFrame) -> str:
     """Say what ``upright`` measures: a humanoid's episode ends where it falls."""
     walks = bodies.get(body_names(frame)[0]).family == "humanoid"
-    return "share of the episode survived" if walks else "share of time upright"
+    return "share of steps survived" if walks else "share of time upright"
 
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:

@@ -30,11 +30,14 @@ NORMALISED = {
     ("silem-minus-own", "HC1"): 0.94,
     ("silem-minus-own", "HC2"): 0.90,
     ("silem-mlp", "HC0"): -0.80,
-    **{("silem", body): 0.9 for body in HUMANOIDS},
-    **{("silem-minus", body): level for body, level in zip(HUMANOIDS, (0.4, 0.3, 0.7))},
-    **{("tpil", body): level for body, level in zip(HUMANOIDS, (0.2, 0.1, 0.6))},
-    **{("peng20", body): level for body, level in zip(HUMANOIDS, (0.3, 0.2, 0.7))},
 }
+for _method, _levels in {
+    "silem": (0.9, 0.9, 0.9),
+    "silem-minus": (0.4, 0.3, 0.7),
+    "tpil": (0.2, 0.1, 0.6),
+    "peng20": (0.3, 0.2, 0.7),
+}.items():
+    NORMALISED |= {(_method, body): level for body, level in zip(HUMANOIDS, _levels, strict=True)}
 N_FEATURES = {"halfcheetah": 26, "humanoid": len(FEATURES)}
 
 
@@ -55,12 +58,15 @@ def write_record(
 ) -> RunRecord:
     """Write one made-up run's folder as a finished run leaves it, and return its record."""
     rng = np.random.default_rng([config.seed, len(config.run_id), ord(config.run_id[-1])])
+    walks = bodies.get(config.body).family == "humanoid"
     if return_mean is None:
-        return_mean = typical_return(config) + 70.0 * rng.normal()
+        noise = 70.0 * rng.normal()
+        return_mean = typical_return(config) + (noise if not walks else 0.3 * noise)
     folder = folder or paths.results_dir(config.study) / config.run_id
     imitates = bool(config.demonstrations)
-    walks = bodies.get(config.body).family == "humanoid"
-    returns = return_mean + 30.0 * rng.normal(size=config.budget.n_eval_episodes)
+    returns = return_mean + (5.0 if walks else 30.0) * rng.normal(
+        size=config.budget.n_eval_episodes
+    )
     written = {}
     if config.method != "random":
         files.write_text(folder / "curve.csv", _curve(config, return_mean, rng))

@@ -92,9 +92,21 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
             policies = _policies(frame, body).best(n_best)
             short = _policies(frame, body, shorter=True)
             for values in policies.values(key):
-                _draw_line(axes, groups, places, values, color=color, lw=0.8, alpha=0.55)
+                _draw_line(
+                    axes, groups, places, values, color=color, lw=0.8, alpha=0.55, marker=".", ms=3
+                )
             for values in short.values(key):
-                _draw_line(axes, groups, places, values, color=color, lw=1, ls=(0, (3, 2)))
+                _draw_line(
+                    axes,
+                    groups,
+                    places,
+                    values,
+                    color=color,
+                    lw=1,
+                    ls=(0, (3, 2)),
+                    marker="x",
+                    ms=4,
+                )
             if len(policies.rows):
                 mean = policies.values(key).mean(axis=0)
                 mark = {"marker": _BODY_MARKERS[index], "ms": 5, "mec": "white", "mew": 0.6}
@@ -103,7 +115,7 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
         axes.update_datalim([(0, neutral - 0.1), (0, neutral + 0.1)])  # shown at least
         axes.autoscale_view(scalex=False)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
-        note = f"thin: a policy, thick: the mean of the best {n_best} by return, or of all"
+        note = f"thin: a policy, thick: their mean; the paper shows each body's best {n_best}"
         sources.footer(figure, frame, note)
     return figure
 
@@ -144,9 +156,19 @@ def _feature_lines(axes: Axes, body: str, neutral: float) -> None:
     axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
     axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
     axes.autoscale_view(scaley=False)
-    for group in feature_groups(body)[1::2]:
-        for column in group.columns:
-            axes.axhspan(column - 0.5, column + 0.5, color="#f6f6f6", lw=0, zorder=0)
+    for first, last in _spans(feature_groups(body))[1::2]:
+        axes.axhspan(first - 0.5, last + 0.5, color="#f6f6f6", lw=0, zorder=0)
+
+
+def _spans(groups: list[Group]) -> list[tuple[int, int]]:
+    """Return first and last row of the groups; a joint's angle and velocity take turns, as one."""
+    spans: list[tuple[int, int]] = []
+    for group in groups:
+        first, last = min(group.columns), max(group.columns)
+        if spans and first < spans[-1][1]:
+            first, last = spans[-1][0], max(last, spans.pop()[1])
+        spans.append((first, last))
+    return spans
 
 
 def _draw_marks(axes: Axes, values: np.ndarray, index: int, count: int) -> None:
@@ -176,7 +198,7 @@ def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
     names = axes.secondary_xaxis(-0.06)
     names.set_xticks(
         [places[list(group.columns)].mean() for group in groups],
-        [f"{group.name}\n({group.unit})" if group.unit else group.name for group in groups],
+        [f"{group.name}\n{f'({group.unit})' if group.unit else ' '}" for group in groups],
     )
     names.tick_params(length=0)
     names.spines[:].set_visible(False)

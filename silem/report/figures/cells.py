@@ -111,12 +111,12 @@ def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
 def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
     """Write under each cell its number of trials, and the iterations of shorter runs.
 
-    Leave room with `room_for_counts`.
+    Five methods or more leave no room for "n=". Leave room below with `room_for_counts`.
     """
     for x, method, body in places(frame, methods):
         count = len(results.scores(frame, method, body, column))
         short = results.shorter(frame, method, body)["n_iterations"].unique()
-        lines = [f"n={count}"] if count else []
+        lines = [f"n={count}" if len(methods) < 5 else f"{count}"] if count else []
         lines += ["× " + ", ".join(f"{n:,}" for n in sorted(short))] if len(short) else []
         if lines:
             axes.text(

@@ -19,7 +19,7 @@ from silem.report.figures.sources import COMPARED
 _DEMONSTRATOR = (0, (1, 1.5))
 _PANELS = {
     "return_mean": "True return of an episode: minimum, mean, maximum over trials",
-    "upright": "Share of the episode survived",
+    "upright": "Share of the 1,000 steps survived",
     "speed_m_s": "Speed (m/s)",
 }
 

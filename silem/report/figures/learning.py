@@ -1,4 +1,4 @@
-"""Figures of learning: curves over timesteps, and the affine transforms that were learned."""
+"""Learning curves over timesteps, of every method on every body of a study."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from silem import bodies
 from silem.report import results, style
 from silem.report.figures import sources
 
 _QUANTITIES = {
     "return_mean": "return of an episode",
+    "episode_length": "steps before a fall",
     "disc_reward": "discriminator reward",
     "speed_m_s": "forward speed (m/s)",
 }
+_DASHES = (0, (3, 2))
 _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
-_BODY_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
 def learning_curves(frame: pd.DataFrame) -> Figure:
@@ -29,7 +31,9 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
     running mean over 9 of the curve's at most 200 points. Trials are drawn up to where the
-    shortest ends. Where all runs are experts' there is no row for the discriminator.
+    shortest ends; runs of fewer iterations than planned are dashed lines of their own. Where all
+    runs are experts' there is no row for the discriminator. Humanoids' episodes end with a fall,
+    and a row shows when.
 
     Args:
         frame: Runs of one study at one budget.
@@ -37,9 +41,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     frame = sources.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
-    # experts have no discriminator, and a row of empty panels would only say so
-    only_experts = drawn == ["ppo"]
-    quantities = {k: v for k, v in _QUANTITIES.items() if not (only_experts and k == "disc_reward")}
+    quantities = _rows(names[0], drawn)
     looks = [style.method(m, results.original_body(frame)) for m in drawn]
     with style.applied():
         figure, grid = style.new_figure(
@@ -48,14 +50,17 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
         )  # fmt: skip
         for column, body in enumerate(names):
             curves = {m: _curves(results.cell(frame, m, body)) for m in drawn}
+            shorter = {m: _curves(results.shorter(frame, m, body)) for m in drawn}
             grid[0, column].set_title(body)
             for row, quantity in enumerate(quantities):
-                _draw_curves(grid[row, column], curves, quantity)
+                _draw_curves(grid[row, column], curves, shorter, quantity)
             grid[-1, column].set_xlabel("million timesteps")
         for row, label in enumerate(quantities.values()):
             grid[row, 0].set_ylabel(label)
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
         handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
+        if frame["shorter"].any():
+            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label="shorter run"))
         if handles:
             figure.legend(handles=handles, loc="outside upper left", ncols=3)
         _hide_made_up_ticks(grid)
@@ -65,27 +70,45 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     return figure
 
 
+def _rows(body: str, methods: list[str]) -> dict[str, str]:
+    """Choose the quantities that the bodies of a study have, with their labels."""
+    left_out = set()
+    if methods == ["ppo"]:  # which has no discriminator: a row of empty panels would only say so
+        left_out.add("disc_reward")
+    if bodies.get(body).family != "humanoid":
+        left_out.add("episode_length")
+    return {name: label for name, label in _QUANTITIES.items() if name not in left_out}
+
+
 def _curves(rows: pd.DataFrame) -> list[pd.DataFrame]:
     return [results.load_curve(run_id) for run_id in rows["run_id"]]
 
 
-def _draw_curves(axes: Axes, curves: dict[str, list[pd.DataFrame]], quantity: str) -> None:
+def _draw_curves(
+    axes: Axes,
+    curves: dict[str, list[pd.DataFrame]],
+    shorter: dict[str, list[pd.DataFrame]],
+    quantity: str,
+) -> None:
     """Draw one quantity of one body: mean and range over trials of every method."""
     axes.margins(x=0.01)
     axes.xaxis.set_major_locator(MaxNLocator(4))
-    anything = False
     for method, trials in curves.items():
+        look = style.method(method)
+        for curve in shorter[method]:
+            x, values = _on_one_grid([curve], quantity)
+            if len(values):
+                axes.plot(x / 1e6, values[0], color=look.color, lw=1.2, ls=_DASHES)
         x, values = _on_one_grid(trials, quantity)
         if len(values) == 0:
             continue
-        anything = True
-        look = style.method(method)
         axes.plot(x / 1e6, values.mean(axis=0), color=look.color, lw=1.5)
         if len(values) > 1:
             span = values.min(axis=0), values.max(axis=0)
             axes.fill_between(x / 1e6, *span, color=look.color, alpha=0.16, lw=0)
-    if not anything:
-        word = "not recorded" if any(curves.values()) else "no run"
+    if not axes.lines:
+        runs = [*curves.values(), *shorter.values()]
+        word = "not recorded" if any(runs) else "no run"
         middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
         axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
 
@@ -122,6 +145,6 @@ def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray,
 
 
 def _counts(frame: pd.DataFrame) -> str:
-    counts = frame.groupby(["method", "body"]).size()
+    counts = frame[~frame["shorter"]].groupby(["method", "body"]).size()
     low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
     return str(low) if low == high else f"{low} to {high}"

@@ -78,7 +78,8 @@ def gaits(frame: pd.DataFrame) -> Figure:
             cells.room_for_counts(axes, 0.0, 1.0)
             cells.trial_counts(axes, frame, methods, column)
         figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=5)
-        sources.footer(figure, frame, f"minimum, mean, maximum over trials; {_HOLLOW}")
+        note = f"minimum, mean, maximum over trials, whose number stands below; {_HOLLOW}"
+        sources.footer(figure, frame, note)
     return figure
 
 
@@ -103,6 +104,7 @@ def experts(frame: pd.DataFrame) -> Figure:
         for axes, (column, title) in zip(panels, titles.items(), strict=True):
             axes.set(title=title)
             cells.body_ticks(axes, frame)
+            axes.tick_params(axis="x", labelsize=8)
             cells.draw_cells(axes, frame, methods, column, _solid)
             axes.margins(y=0.12)
             axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
