@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies, paper
-from silem.bodies import Body
+from silem.bodies import Body, atlas
 from silem.budgets import BUDGETS, Budget, of_body
 from silem.errors import SilemError, choose
 from silem.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
@@ -125,8 +125,6 @@ class RunConfig:
     def learner(self) -> Body:
         """The learner's body, as this run's hyper-parameters have it."""
         if self.hyper.ankle_range_rad:
-            from silem.bodies import atlas
-
             return atlas.body(self.hyper.ankle_range_rad)
         return bodies.get(self.body)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from silem.bodies import ant, half_cheetah, humanoid
+from silem.bodies import ant, atlas, half_cheetah, humanoid
 from silem.bodies.body import (
     AliveRule,
     Body,
@@ -29,5 +29,5 @@ __all__ = [
     "register",
 ]
 
-for _body in (*half_cheetah.BODIES, *ant.BODIES, *humanoid.BODIES):
+for _body in (*half_cheetah.BODIES, *ant.BODIES, *humanoid.BODIES, *atlas.BODIES):
     register(_body)
