@@ -265,6 +265,9 @@ def mirrored_features(features: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", [name for name in MODELS if name != "HumanoidR"])
 def test_a_mirrored_pose_has_mirrored_features(name: str, rng: np.random.Generator) -> None:
     posed = Posed(name)
+    # Atlas's right wrist sits 1.8 cm higher on its forearm than the left one; the others agree
+    # to the rounding of their models' numbers.
+    tolerance = 0.08 if name == "Atlas" else 0.01
     for _ in range(20):
         qpos, qvel = posed.model.qpos0.copy(), rng.normal(size=posed.model.nv)
         qpos[7:] = rng.uniform(-0.8, 0.8, size=posed.model.nq - 7)
@@ -273,8 +276,8 @@ def test_a_mirrored_pose_has_mirrored_features(name: str, rng: np.random.Generat
         mujoco.mju_mulQuat(qpos[3:7], turn, posed.model.qpos0[3:7])
         features = posed.features(qpos, qvel)
         mirrored = posed.features(*mirrored_state(posed, qpos, qvel))
-        assert np.allclose(mirrored, mirrored_features(features), atol=0.03)
-        assert not np.allclose(mirrored, features, atol=0.1)
+        assert np.allclose(mirrored, mirrored_features(features), atol=tolerance)
+        assert not np.allclose(mirrored, features, atol=0.2)
 
 
 def test_humanoid_r_is_not_its_own_mirror_image() -> None:
