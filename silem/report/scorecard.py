@@ -8,26 +8,29 @@ import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
-from silem.report import results
-from silem.report.claims import CLAIMS, FAILS, HOLDS, UNDECIDED
+from silem.report import claims, results
+from silem.report.claims import FAILS, HOLDS, UNDECIDED
 from silem.report.tables import DASH, number, styled
 
 _COLORS = {HOLDS: "#DDF3E4", FAILS: "#FBE3E0", UNDECIDED: "#F1F1F1"}
 
 
 def evaluate(frame: pd.DataFrame) -> pd.DataFrame:
-    """Judge every claim by the runs of one study at one budget.
+    """Judge the claims about one study by its runs at one budget.
 
     Args:
         frame: The runs, from `results.load_records`.
 
     Returns:
         One row per claim: ``claim``, ``where``, ``paper``, ``ours``, ``low``, ``high``,
-        ``trials``, ``rule``, ``verdict``, ``reason``, ``digits``.
+        ``trials``, ``rule``, ``verdict``, ``reason``, ``digits``, ``wins``.
+
+    Raises:
+        SilemError: The paper makes no claim about the study.
     """
-    _, budget = results.context(frame)
+    study, budget = results.context(frame)
     rows: list[dict[str, Any]] = []
-    for claim in CLAIMS:
+    for claim in claims.of(study):
         finding = claim.find(frame)
         verdict, reason = finding.verdict
         if not results.is_evidence(budget):
@@ -45,6 +48,7 @@ def evaluate(frame: pd.DataFrame) -> pd.DataFrame:
                 "verdict": verdict,
                 "reason": reason,
                 "digits": finding.digits,
+                "wins": finding.wins,
             }
         )
     return pd.DataFrame(rows)
@@ -52,6 +56,9 @@ def evaluate(frame: pd.DataFrame) -> pd.DataFrame:
 
 def table(frame: pd.DataFrame) -> Styler:
     """Return the scorecard for a page: claim, paper, ours with interval, trials, verdict.
+
+    Below a difference of two cells stands the share of pairs of trials in which the first is
+    higher.
 
     Args:
         frame: Runs of one study at one budget.
@@ -63,7 +70,7 @@ def table(frame: pd.DataFrame) -> Styler:
             {
                 "claim": f"{row.claim}<br><small>{row.where}; holds if: {row.rule}</small>",
                 "paper": number(row.paper, row.digits),
-                "ours": number(row.ours, row.digits),
+                "ours": number(row.ours, row.digits) + _wins(row.wins),
                 "95 % interval": DASH if DASH in interval else " to ".join(interval),
                 "trials": row.trials,
                 "verdict": f"<b>{row.verdict}</b>"
@@ -77,6 +84,11 @@ def counts(frame: pd.DataFrame) -> dict[str, int]:
     """Count the verdicts: how many claims hold, do not hold, or are undecided."""
     verdicts = evaluate(frame)["verdict"]
     return {name: int((verdicts == name).sum()) for name in (HOLDS, FAILS, UNDECIDED)}
+
+
+def _wins(share: float) -> str:
+    """Say how often the first of two compared cells is higher, trial against trial."""
+    return "" if np.isnan(share) else f"<br><small>{number(100 * share)} % of pairs</small>"
 
 
 def _color(cell: str) -> str:

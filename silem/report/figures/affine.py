@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -206,7 +207,7 @@ def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
 
 
 def _draw_line(
-    axes: Axes, groups: list[Group], places: np.ndarray, values: np.ndarray, **line: object
+    axes: Axes, groups: list[Group], places: np.ndarray, values: np.ndarray, **line: Any
 ) -> None:
     """Draw one policy's values (F,), joined within each group."""
     for group in groups:
