@@ -1,9 +1,9 @@
 """The demonstrator: a motion capture clip posed on dm_control's ``humanoid_CMU``, and its g.
 
 A clip gives the path of a man's pelvis and the angles of his joints. The model that takes them has
-limbs of its own lengths (its legs are 3 % longer than subject 8's), so its feet need not touch the
-floor where the man's did, and a standing foot slips by up to 0.2 m/s. `pose` sets the clip as a
-whole on the floor and leaves the rest as captured.
+nearly subject 8's bones, but both its legs are as long as his right one (the left is 3 % shorter),
+so its feet need not touch the floor where his did. `pose` sets the clip as a whole on the floor and
+leaves the rest as captured.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ away, are those from `humanoid_CMU`'s thorax."""
 
 FLOOR_SLOPE = 0.0206
 """In all of subject 8's clips the floor rises by this much per metre walked, 1.2 degrees: the
-captured coordinates are tilted. A line through the heights of the soles of all 61 standing feet
-of the eleven clips has this slope, with a standard error of 0.0006."""
+captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
+eleven clips, has this slope, with a standard error of 0.0006."""
 
 MAX_HELD_FRAMES = 12
 """A frame may be held this long, 0.1 s, for the gap to be closed by interpolation."""

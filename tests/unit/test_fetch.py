@@ -37,7 +37,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(fetch, "URL", f"http://127.0.0.1:{server.server_port}/")
     monkeypatch.setitem(fetch.SHA256, NAME, hashlib.sha256(CONTENT).hexdigest())
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path / "data"))
-    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.delenv(fetch.ENV, raising=False)
     yield path
     server.shutdown()
