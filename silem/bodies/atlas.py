@@ -6,9 +6,9 @@ robot does), the head is the neck's joint, a shoulder the joint that raises the 
 hand the wrist, a foot the ankle.
 
 The paper gives 0.99 and 0.91 as the distances of Atlas's feet and hands from its torso; here they
-are 1.08 and 0.98 in the zero pose, arms spread, and 1.08 and 0.64 when it stands. No link of v4 as
-the torso gives the paper's pair: from `pelvis` 0.87 and 1.04, from `mtorso` 1.03 and 0.99. Its
-authors' model was another one.
+are 1.08 and 0.98 in the zero pose, arms spread, and 1.08 and 0.62 when it stands. No link of v4's
+trunk gives the paper's pair: from `pelvis` 0.87 and 1.04, from `mtorso` 1.03 and 0.99. The paper
+does not say which model of Atlas it used, nor in which pose it measured.
 
 "Ankle's range of motion" is read as both axes of both ankles, pitch and roll: the paper gives one
 number, and a stiff ankle lets the weak motors (92 and 45 N m against a weight of 1790 N) keep the
@@ -57,7 +57,7 @@ _ANKLE_RAD = 0.05  # enough to bring the centre of mass over the soles
 def body(ankle_range_rad: float = 0.1) -> MujocoBody:
     """Return Atlas with ankles that turn within +-`ankle_range_rad` about both axes.
 
-    The paper searched over 0.1 and 0.3 (Table of Atlas's grid, a); 0.1 was best for SILEM.
+    The paper searched over 0.1 and 0.3 (supplement, tab42_h, a); 0.1 was best for SILEM.
 
     Raises:
         SilemError: If the range is not above 0 or exceeds the robot's own.

@@ -190,7 +190,7 @@ def test_heights_are_the_humanoids_fractions_of_the_head(body: MujocoBody, model
     assert body.fall_head_m / head == pytest.approx(1.0 / 1.4755, abs=1e-3)
 
 
-def test_distances_from_the_torso_beside_the_papers(model: mujoco.MjModel):
+def test_distances_from_the_torso_beside_the_papers(body: MujocoBody, model: mujoco.MjModel):
     """The paper: feet 0.99, hands 0.91; the module's docstring has the reason."""
     data = placed(model, model.qpos0)
 
@@ -199,8 +199,13 @@ def test_distances_from_the_torso_beside_the_papers(model: mujoco.MjModel):
 
     assert distance("l_foot") == pytest.approx(distance("r_foot")) == pytest.approx(1.08, abs=5e-3)
     assert distance("l_hand") == pytest.approx(0.98, abs=5e-3)
+    assert distance("l_hand", "pelvis") == pytest.approx(1.04, abs=5e-3)
+    assert distance("l_hand", "mtorso") == pytest.approx(0.99, abs=5e-3)
     assert distance("l_foot", "pelvis") == pytest.approx(0.87, abs=5e-3)
     assert distance("l_foot", "mtorso") == pytest.approx(1.03, abs=5e-3)
+    data = placed(model, body.standing_pose)
+    assert distance("l_foot") == pytest.approx(1.08, abs=5e-3)
+    assert distance("l_hand") == pytest.approx(0.62, abs=5e-3)
 
 
 def test_left_is_y_and_both_sides_mirror_each_other(
