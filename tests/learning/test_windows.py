@@ -109,7 +109,9 @@ class Diverging(Counter):
 
 
 def test_features_that_are_not_numbers_stop_the_training() -> None:
-    model = SILEM("MlpPolicy", DummyVecEnv([Diverging]), [np.zeros((5, 2))], n_steps=6, batch_size=6, seed=0)
+    model = SILEM(
+        "MlpPolicy", DummyVecEnv([Diverging]), [np.zeros((5, 2))], n_steps=6, batch_size=6, seed=0
+    )
     before = model.state_arrays()
     with pytest.raises(SilemError, match="skeletal features hold NaN"):
         model.learn(6)
