@@ -172,7 +172,9 @@ def _setting(text: str) -> tuple[str, Any]:
     try:
         return name, ast.literal_eval(value)
     except (ValueError, SyntaxError):
-        raise SilemError(f"--set {name}: {value!r} is no number or list of numbers") from None
+        if value.isidentifier():
+            return name, value
+        raise SilemError(f"--set {name}: {value!r} is no number, list of numbers or word") from None
 
 
 def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:

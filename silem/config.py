@@ -39,6 +39,13 @@ ORIGINAL_BODIES = {"halfcheetah": "HC0", "ant": "Ant0"}
 HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
 
+HUMANOID_LOG_STD = -1.6
+"""Start of the policy's log standard deviation on humanoids: torques that shake with standard
+deviation 1 throw the body over before it has learned to stand (open in the paper)."""
+
+HUMANOID_TRANSFORM_RATE = 1e-3
+"""Adam's rate for T on humanoids, where T makes one or two steps an iteration (open in the paper)."""
+
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
 
@@ -239,6 +246,8 @@ def _defaults(body: str, method: str, family: str, demonstrations: str) -> dict[
         "policy_hidden": tuple(paper.number("humanoid_policy_hidden")),
         "disc_hidden": tuple(paper.number("humanoid_disc_hidden")),
         "n_trajectories": 1,
+        "log_std_init": HUMANOID_LOG_STD,
+        "transform_learning_rate": HUMANOID_TRANSFORM_RATE,
         "n_transform_updates": paper.grid_values("tab4_h")["N_G"][0],
         "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
         "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,

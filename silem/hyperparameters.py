@@ -67,6 +67,8 @@ class HyperParameters:
     minibatch_size: int = _used_by(_POLICY, _PPO["minibatch_size"])  # N_Pmb
     adam_eps: float = _used_by(_POLICY, 1e-5)
     policy_hidden: tuple[int, ...] = _used_by(_POLICY, tuple(paper.number("policy_hidden")))
+    # logarithm of the policy's standard deviation at the start; the paper leaves it open
+    log_std_init: float = _used_by(_POLICY, 0.0, optional=True)
     # The supplement's grid; `RunConfig.create` fills in the best combination of each cell.
     disc_hidden: tuple[int, ...] = _used_by(_DISCRIMINATOR, tuple(paper.number("disc_hidden")))
     window: int = _used_by(_DISCRIMINATOR, paper.number("window"))  # states per window
@@ -120,6 +122,7 @@ _MAY_BE_ZERO = (
     "disc_entropy_coef", "gradient_penalty", "transform_l2_scale", "transform_l2_bias",
     "gradient_reversal_coef", "ankle_range_rad",
 )  # fmt: skip
+_LOWER_BOUNDS = {"log_std_init": -float("inf")}
 _AT_MOST_ONE = ("gamma", "gae_lambda", "transform_lr_decay")
 
 
@@ -138,7 +141,7 @@ def _checked(name: str, default: Any, value: Any) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
-    lowest_allowed = value >= 0 if name in _MAY_BE_ZERO else value > 0
+    lowest_allowed = value > _LOWER_BOUNDS.get(name, 0) or (value == 0 and name in _MAY_BE_ZERO)
     limit = 1.0 if name in _AT_MOST_ONE else float("inf")
     if not lowest_allowed or not value <= limit or value == float("inf"):
         raise SilemError(f"{name} is out of range: {value!r}")

@@ -1,21 +1,12 @@
-"""What the notebooks share: a strict door for their parameters, and how a result is shown.
-
-A notebook's second cell, tagged ``parameters``, holds plain literals; papermill injects a cell of
-overriding literals after it. papermill only warns about a name the notebook does not know and
-never checks a type, so a misspelt parameter would silently run the defaults. The third cell
-therefore calls :func:`parameters`.
-"""
+"""What the notebooks share: how figures, tables, videos and numbers are shown."""
 
 from __future__ import annotations
 
-import ast
 import base64
 import html
 import math
-from collections.abc import Mapping, Sequence
-from itertools import chain, groupby
+from collections.abc import Callable, Sequence
 from numbers import Integral, Real
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,111 +18,17 @@ from myst_nb import glue
 from pandas.io.formats.style import Styler
 
 from silem.config import TRIAL_SEEDS
-from silem.errors import SilemError
 from silem.report import results, style, tables
-from silem.report.rendering import Clip, encode_mp4, encode_png, rollout, side_by_side
+from silem.report.parameters import literal_assignments, parameters
+from silem.report.rendering import rollout, why_no_pictures
+from silem.report.video import Clip, encode_mp4, encode_png, side_by_side
 from silem.study.policies import load_policy
 from silem.study.record import POLICY
 
-_PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
-
-
-def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
-    """Check a notebook's parameters and return them as attributes.
-
-    Call it in the notebook's third cell::
-
-        p = parameters(globals(), body=bodies.names(), budget=list(BUDGETS), seed=int)
-
-    Inside Jupyter, papermill and nbmake, the names checked are those assigned by the last cells
-    that held nothing but assignments of literals: the ``parameters`` cell and the one papermill
-    injects after it. Variables of other cells are therefore no parameters, and the cell can be run
-    again at any time. A mapping that no notebook stands behind is checked whole.
-
-    Args:
-        namespace: The notebook's ``globals()``, or a dict of parameters.
-        **schema: For each parameter its type (``str``, ``int``, ``float`` or ``bool``) or the
-            strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
-
-    Returns:
-        The parameters as attributes, in the schema's order.
-
-    Raises:
-        SilemError: Some parameter is unknown, missing, of a wrong type, not finite, or not one
-            of the strings allowed. The message names each and lists what is allowed.
-    """
-    given = _given_names(namespace)
-    problems = [f"unknown parameter {name!r}" for name in given if name not in schema]
-    values = {}
-    for name, allowed in schema.items():
-        if name not in namespace:
-            problems.append(f"parameter {name!r} is missing")
-            continue
-        values[name] = namespace[name]
-        if not _conforms(values[name], allowed):
-            problems.append(f"{name} = {values[name]!r} is not {_describe(allowed)}")
-        elif allowed is float:
-            values[name] = float(values[name])
-    if problems:
-        listing = "; ".join(f"{name}: {_describe(allowed)}" for name, allowed in schema.items())
-        raise SilemError(f"{'; '.join(problems)}. Allowed: {listing}")
-    return SimpleNamespace(**values)
-
-
-def _given_names(namespace: Mapping[str, Any]) -> list[str]:
-    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
-    if "get_ipython" not in namespace:
-        return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
-    assigned = [literal_assignments(source) for source in namespace.get("In", [])]
-    neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
-    names = chain(*neighbours[-1]) if neighbours else ()
-    return [name for name in dict.fromkeys(names) if name in namespace]
-
-
-def literal_assignments(source: str) -> list[str]:
-    """Return the names that a cell assigns, if it does nothing but assign literals, else []."""
-    try:
-        statements = ast.parse(source).body
-    except SyntaxError:
-        return []
-    names = []
-    for statement in statements:
-        if not isinstance(statement, ast.Assign | ast.AnnAssign):
-            return []
-        if not _is_literal(statement.value):
-            return []
-        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-        names += [target.id for target in targets if isinstance(target, ast.Name)]
-    return names
-
-
-def _is_literal(node: ast.expr | None) -> bool:
-    """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
-        return all(isinstance(argument, ast.Constant) for argument in node.args)
-    try:
-        ast.literal_eval(node)  # type: ignore[arg-type]
-    except (ValueError, TypeError):
-        return False
-    return True
-
-
-def _conforms(value: Any, allowed: type | Sequence[str]) -> bool:
-    """Whether a parameter's value is what the schema allows."""
-    if not isinstance(allowed, type):
-        return isinstance(value, str) and value in allowed
-    if isinstance(value, bool) or allowed is bool:
-        return isinstance(value, bool) and allowed is bool
-    if allowed is float:
-        return isinstance(value, int | float) and math.isfinite(value)
-    return isinstance(value, allowed)
-
-
-def _describe(allowed: type | Sequence[str]) -> str:
-    """What the schema allows, in words."""
-    if isinstance(allowed, type):
-        return "a finite float" if allowed is float else f"of type {allowed.__name__}"
-    return f"one of {', '.join(allowed)}"
+__all__ = [
+    "film", "literal_assignments", "parameters", "play", "play_first_trials", "say", "show",
+    "show_picture", "table",
+]  # fmt: skip
 
 
 def show(figure: Figure) -> None:
@@ -190,6 +87,19 @@ def play(clip: Clip, caption: str) -> None:
     _display_html(page)
 
 
+def film(make: Callable[[], Clip], caption: str) -> None:
+    """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead.
+
+    Args:
+        make: Makes the clip, e.g. ``lambda: rendering.rollout("Atlas")``.
+        caption: What it shows, as plain text.
+    """
+    if why := why_no_pictures("Humanoid"):
+        _note(f"No video ({caption}): {why}")
+    else:
+        play(make(), caption)
+
+
 def play_first_trials(
     records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
 ) -> None:
@@ -206,19 +116,29 @@ def play_first_trials(
     """
     clips = {}
     for method in methods:
-        label = style.method(method, results.body_names(records)[0]).label
-        trials = results.cell(records, method, body)
-        first = trials.loc[trials["seed"] == TRIAL_SEEDS[0], "run_id"]
-        record = results.find(first.iloc[0]) if len(first) else None
+        label = style.method(method, results.original_body(records)).label
+        of_cell = (records["method"] == method) & (records["body"] == body)
+        first = records[of_cell & (records["seed"] == TRIAL_SEEDS[0])]
+        record = results.find(first["run_id"].iloc[0]) if len(first) else None
         if record is None or POLICY not in record.files:
-            text = f"No policy of {label} on {body} has been published at this budget yet."
-            _display_html(f"<p><em>{html.escape(text)}</em></p>")
+            _note(f"No policy of {label} on {body} has been published at this budget yet.")
             continue
-        clips[label] = rollout(body, load_policy(record), duration_s=duration_s)
+        if first["shorter"].iloc[0]:
+            label += f", {first['n_iterations'].iloc[0]:,} iterations"
+        if why := why_no_pictures(body):
+            _note(f"No video of {label} on {body}: {why}")
+            continue
+        policy, learner = load_policy(record), record.run_config().learner
+        clips[label] = rollout(learner, policy, duration_s=duration_s)
     if clips:
         labels = list(clips)
         clip = side_by_side(list(clips.values()), labels) if len(clips) > 1 else clips[labels[0]]
         play(clip, f"{body}, first trial, in real time: {' | '.join(labels)}")
+
+
+def _note(text: str) -> None:
+    """Say on the page what is not there."""
+    _display_html(f"<p><em>{html.escape(text)}</em></p>")
 
 
 def _display(item: object) -> None:

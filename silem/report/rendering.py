@@ -1,80 +1,71 @@
-"""Pictures and short videos of the bodies in motion.
-
-A picture is a uint8 array (H, W, 3). A :class:`Clip` is a sequence of them with its frame rate;
-it becomes an H.264 video that every browser plays, without a video library on the machine: the
-encoder comes with imageio-ffmpeg.
-"""
+"""Pictures and short films of the bodies: at rest, acting, and along a given motion."""
 
 from __future__ import annotations
 
-import io
 import math
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
-from matplotlib import font_manager
 from matplotlib.figure import Figure
-from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 import silem
-from silem import bodies, files, seeding
+from silem import bodies, seeding
+from silem.bodies import Body, BulletBody, MujocoBody
+from silem.envs import MujocoCamera
+from silem.envs.mujoco import Simulation, body_of
 from silem.envs.rendering import Camera
 from silem.envs.simulator import STEP_S, Simulator
 from silem.errors import SilemError
 from silem.report import style
+from silem.report.video import (
+    Clip,
+    encode_mp4,
+    encode_png,
+    labelled,
+    side_by_side,
+    strip,
+    write_mp4,
+)
 from silem.study.evaluate import Policy, random_policy
 
-STEPS_PER_FRAME = 2
-"""Control steps from one frame to the next: 30 frames per simulated second."""
+__all__ = [
+    "Clip", "encode_mp4", "encode_png", "gallery", "labelled", "motion", "rollout", "side_by_side",
+    "still", "strip", "why_no_pictures", "write_mp4",
+]  # fmt: skip
+
+_STEPS_PER_FRAME = {"bullet": 2, "mujoco": 1}
+"""Control steps from one frame to the next: 30 and 40 frames per simulated second."""
 
 _STILL_WIDTH, _STILL_HEIGHT = 480, 300  # pixels, in a gallery
-_INK = (32, 32, 32)
-_LABEL_SIZE = 0.055  # of the picture's height
-_GAP = 8  # pixels between two clips; even, as the video's width has to be
-
-
-@dataclass(frozen=True)
-class Clip:
-    """A body in motion.
-
-    Attributes:
-        frames: Pictures (T, H, W, 3), uint8.
-        frames_per_s: Pictures per second of simulated time, so that it plays at real speed.
-    """
-
-    frames: np.ndarray
-    frames_per_s: float
-
-    @property
-    def duration_s(self) -> float:
-        """Length in seconds."""
-        return len(self.frames) / self.frames_per_s
 
 
 def still(
-    body: str, width: int = 640, height: int = 480, span_m: float | None = None
+    body: Body | str, width: int = 640, height: int = 480, span_m: float | None = None
 ) -> np.ndarray:
-    """Render a body at rest: every joint at zero, or at its limit nearest to zero.
+    """Render a body at rest: a humanoid standing; a runner's joints at zero, or nearest to it.
 
     Args:
-        body: A registered body's name.
+        body: A body, or a registered body's name.
         width: Of the picture, pixels.
         height: Of the picture, pixels.
-        span_m: Width of what is seen at the body, metres; None lets the body fit.
+        span_m: Width of what is seen at a runner, metres; None lets the body fit.
 
     Returns:
         The picture (H, W, 3).
 
     Raises:
-        SilemError: The body is unknown, or the size or the span is not positive.
+        SilemError: The body is unknown, the size or the span is not positive, there is a span for
+            a humanoid, or nothing can be drawn offscreen here.
     """
-    simulator = Simulator(bodies.get(body))
+    found = bodies.get(body) if isinstance(body, str) else body
+    if isinstance(found, MujocoBody):
+        if span_m is not None:
+            raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
+        return _poses(found, np.array([found.standing_pose]), width, height)[0]
+    assert isinstance(found, BulletBody)
+    simulator = Simulator(found)
     try:
         simulator.reset([min(max(0.0, low), high) for low, high in simulator.limits])
         return Camera(simulator, width, height, span_m).picture()
@@ -82,12 +73,12 @@ def still(
         simulator.close()
 
 
-def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> Figure:
-    """Draw bodies at rest to one scale, as in Figures 2a and 2c.
+def gallery(names: Sequence[str], span_m: float | None = None, n_columns: int = 3) -> Figure:
+    """Draw bodies at rest, as in Figures 2a and 2c.
 
     Args:
         names: Registered bodies.
-        span_m: Width of what is seen at each body, metres.
+        span_m: Width of what is seen at each body, metres: one scale for all. None lets each fit.
         n_columns: Pictures per row.
     """
     n_rows = -(-len(names) // n_columns)
@@ -107,30 +98,8 @@ def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> Figure:
     return figure
 
 
-def strip(clip: Clip, n_frames: int = 5, width: int = 1500) -> np.ndarray:
-    """Lay equally spaced frames of a clip side by side, from first to last: a video on paper.
-
-    Args:
-        clip: The clip.
-        n_frames: How many frames.
-        width: Of the whole picture, in pixels; the height follows.
-
-    Returns:
-        The picture (H, width, 3).
-
-    Raises:
-        SilemError: The clip has fewer frames than asked for, or none are asked for.
-    """
-    if not 1 <= n_frames <= len(clip.frames):
-        raise SilemError(f"a strip of {n_frames} frames from a clip of {len(clip.frames)}")
-    chosen = np.linspace(0, len(clip.frames) - 1, n_frames).round().astype(int)
-    whole = Image.fromarray(np.concatenate(list(clip.frames[chosen]), axis=1))
-    height = max(1, round(whole.height * width / whole.width))
-    return np.asarray(whole.resize((width, height), Image.Resampling.LANCZOS))
-
-
 def rollout(
-    body: str,
+    body: Body | str,
     policy: Policy | None = None,
     *,
     duration_s: float = 6.0,
@@ -142,117 +111,93 @@ def rollout(
     The clip ends where the episode does, if that comes first.
 
     Args:
-        body: A registered body's name.
+        body: A body, or a registered body's name.
         policy: The policy; None for uniformly random actions.
         duration_s: Simulated time to film, seconds.
         seed: Seed of the start state and of the policy's random numbers.
         progress: Show a progress bar.
 
     Raises:
-        SilemError: The body is unknown, or the duration is not positive.
+        SilemError: The body is unknown, the duration is not positive, or nothing can be drawn
+            offscreen here.
     """
+    found = bodies.get(body) if isinstance(body, str) else body
+    steps_per_frame = _STEPS_PER_FRAME[found.engine]
+    frame_s = steps_per_frame * (found.control_step_s if isinstance(found, MujocoBody) else STEP_S)
     if not (duration_s > 0 and math.isfinite(duration_s)):
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
-    n_frames = max(1, round(duration_s / (STEP_S * STEPS_PER_FRAME)))
-    policy = policy or random_policy(body)
+    n_frames = max(1, round(duration_s / frame_s))
+    policy = policy or random_policy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
-    env = silem.make_vec(body, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    env = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
     try:
         observations: Any = env.reset()
-        frames = [env.render()]
-        steps = range(1, (n_frames - 1) * STEPS_PER_FRAME + 1)
-        for step in tqdm(steps, desc=f"filming {body}", unit="step", disable=not progress):
+        frames: list[Any] = [env.render()]
+        steps = range(1, (n_frames - 1) * steps_per_frame + 1)
+        for step in tqdm(steps, desc=f"filming {found.name}", unit="step", disable=not progress):
             actions, _ = policy.predict(observations, deterministic=False)
             observations, _, dones, _ = env.step(actions)
             if dones[0]:  # the environment stands at its next start already
                 break
-            if step % STEPS_PER_FRAME == 0:
+            if step % steps_per_frame == 0:
                 frames.append(env.render())
     finally:
         env.close()
-    return Clip(np.stack(frames), 1 / (STEP_S * STEPS_PER_FRAME))
+    return Clip(np.stack(frames), 1 / frame_s)
 
 
-def side_by_side(clips: Sequence[Clip], labels: Sequence[str]) -> Clip:
-    """Join clips into one, each under its label; a clip that ends early holds its last frame.
+def motion(
+    body: Body | str, qpos: np.ndarray, rate_hz: float, width: int = 640, height: int = 480
+) -> Clip:
+    """Film a humanoid posed along a given motion, for instance a retargeted clip; no physics acts.
 
-    Raises:
-        SilemError: Clips and labels differ in number, or the clips in frame rate or height.
-    """
-    if len(clips) != len(labels) or not clips:
-        raise SilemError(f"{len(clips)} clips and {len(labels)} labels; give one label per clip")
-    if len({(clip.frames_per_s, clip.frames.shape[1]) for clip in clips}) > 1:
-        raise SilemError("clips side by side need the same frame rate and picture height")
-    n_frames = max(len(clip.frames) for clip in clips)
-    gap = np.full((n_frames, clips[0].frames.shape[1], _GAP, 3), 255, np.uint8)
-    columns: list[np.ndarray] = []
-    for clip, label in zip(clips, labels, strict=True):
-        held = [(0, n_frames - len(clip.frames)), (0, 0), (0, 0), (0, 0)]
-        columns += [gap, np.pad(labelled(clip, label).frames, held, mode="edge")]
-    return Clip(np.concatenate(columns[1:], axis=2), clips[0].frames_per_s)
-
-
-def labelled(clip: Clip, label: str) -> Clip:
-    """Write a label into the upper left corner of every frame of a clip."""
-    height, width = clip.frames.shape[1:3]
-    font = ImageFont.truetype(
-        font_manager.findfont("DejaVu Sans"), size=max(9, round(_LABEL_SIZE * height))
-    )
-    plate = Image.new("L", (width, height), 0)
-    corner = round(_LABEL_SIZE * height / 2)
-    ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
-    ink = (np.asarray(plate, np.float32) / 255)[:, :, None]
-    frames = clip.frames * (1 - ink) + np.array(_INK, np.float32) * ink
-    return replace(clip, frames=frames.round().astype(np.uint8))
-
-
-def encode_mp4(clip: Clip) -> bytes:
-    """Encode a clip as H.264 in an mp4 file (yuv420p, index first: plays while it loads).
-
-    The same clip always gives the same bytes.
+    Args:
+        body: A humanoid, or its name.
+        qpos: Positions of all joints, (T, nq).
+        rate_hz: States per second, which is the clip's frame rate.
+        width: Of the pictures, pixels.
+        height: Of the pictures, pixels.
 
     Raises:
-        SilemError: The encoder cannot run, or has no room for its temporary file.
+        SilemError: It is no humanoid, the motion has another width, or nothing can be drawn
+            offscreen here.
     """
-    height, width = (size - size % 2 for size in clip.frames.shape[1:3])  # yuv420p: even sizes
-    frames = np.ascontiguousarray(clip.frames[:, :height, :width])
-    options = ["-crf", "28", "-preset", "slow", "-threads", "1", "-movflags", "+faststart"]
-    options += ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+    found = body_of(body)
+    expected = len(found.standing_pose)
+    if qpos.ndim != 2 or qpos.shape[1] != expected or len(qpos) == 0:
+        raise SilemError(f"motion of shape {qpos.shape}; {found.name} needs (T, {expected})")
+    return Clip(_poses(found, qpos, width, height), rate_hz)
+
+
+def why_no_pictures(body: str) -> str:
+    """Return why a body cannot be pictured on this machine, "" if it can.
+
+    Runners are drawn without OpenGL; humanoids need it offscreen.
+
+    Raises:
+        SilemError: The body is unknown.
+    """
+    found = bodies.get(body)
+    if not isinstance(found, MujocoBody):
+        return ""
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "clip.mp4"
-            writer = imageio_ffmpeg.write_frames(
-                str(path),
-                (width, height),
-                fps=clip.frames_per_s,
-                codec="libx264",
-                pix_fmt_out="yuv420p",
-                quality=None,
-                macro_block_size=2,
-                output_params=options,
-                ffmpeg_log_level="error",
-            )
-            writer.send(None)
-            for frame in frames:
-                writer.send(frame)
-            writer.close()
-            return path.read_bytes()
-    except (OSError, RuntimeError) as error:
-        raise SilemError(f"the video encoder failed: {error}") from error
+        _poses(found, np.array([found.standing_pose]), width=8, height=8)
+    except SilemError as error:
+        return str(error)
+    return ""
 
 
-def write_mp4(path: Path, clip: Clip) -> None:
-    """Write a clip as an mp4 file, atomically.
-
-    Raises:
-        SilemError: The file cannot be written; one that was there before is untouched.
-    """
-    files.write_bytes(path, encode_mp4(clip))
-
-
-def encode_png(picture: np.ndarray) -> bytes:
-    """Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
+def _poses(body: MujocoBody, qpos: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Picture a humanoid in each of some poses (T, nq): (T, H, W, 3)."""
+    simulation = Simulation(body, 1)
+    camera = MujocoCamera(simulation, width, height)
+    try:
+        pictures = []
+        for pose in qpos:
+            simulation.place(0, pose, np.zeros(simulation.model.nv))
+            pictures.append(camera.picture().copy())
+        return np.stack(pictures)
+    finally:
+        camera.close()
+        simulation.close()

@@ -54,14 +54,20 @@ class Limbs(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray) -> Limbs:
-        """Measure landmarks (..., P, 3); a length that varies in time counts with its mean."""
-        legs = [_chain(points, f"{side}_hip", f"{side}_knee", f"{side}_foot") for side in SIDES]
-        arms = [
-            _chain(points, f"{side}_shoulder", f"{side}_elbow", f"{side}_hand") for side in SIDES
-        ]
-        spine = np.linalg.norm(_at(points, "torso") - _mid_hip(points), axis=-1).mean()
-        hips = _chain(points, "left_hip", "right_hip")
-        return cls(sum(legs) / 2, arms[0], arms[1], float(spine), hips)
+        """Measure the landmarks of one or more poses, (..., P, 3).
+
+        Of several poses the 95 % quantile counts: where a landmark lies beside its joint's axis
+        a bent limb looks shorter than it is, and a single broken frame should not matter.
+        """
+        left_leg, right_leg = (
+            _length(points, f"{side}_hip", f"{side}_knee", f"{side}_foot") for side in SIDES
+        )
+        left_arm, right_arm = (
+            _length(points, f"{side}_shoulder", f"{side}_elbow", f"{side}_hand") for side in SIDES
+        )
+        spine = _usual(np.linalg.norm(_at(points, "torso") - _mid_hip(points), axis=-1))
+        hips = _length(points, "left_hip", "right_hip")
+        return cls((left_leg + right_leg) / 2, left_arm, right_arm, spine, hips)
 
     def over(self, other: Limbs) -> Limbs:
         """Return the ratios of these lengths to another skeleton's."""
@@ -170,10 +176,14 @@ def _mid_hip(points: np.ndarray) -> np.ndarray:
     return (_at(points, "left_hip") + _at(points, "right_hip")) / 2
 
 
-def _chain(points: np.ndarray, *names: str) -> float:
-    """Return the mean over time of the length along landmarks."""
+def _length(points: np.ndarray, *names: str) -> float:
+    """Return the usual length along landmarks."""
     chain = np.stack([_at(points, name) for name in names])
-    return float(np.linalg.norm(np.diff(chain, axis=0), axis=-1).sum(axis=0).mean())
+    return _usual(np.linalg.norm(np.diff(chain, axis=0), axis=-1).sum(axis=0))
+
+
+def _usual(lengths: np.ndarray) -> float:
+    return float(np.quantile(lengths, 0.95))
 
 
 def _check(motion: Motion) -> None:

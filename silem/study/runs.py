@@ -213,6 +213,8 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
     if not config.demonstrations:
         return None, None
     path = demos.file_of(config.demonstrations)
+    if not path.exists() and config.learner.engine == "mujoco":
+        raise SilemError(f"there is no {path}; `python -m silem mocap` makes it")
     if not path.exists():
         raise SilemError(
             f"there are no demonstrations of {config.demonstrations} ({path}); train its expert"

@@ -106,6 +106,7 @@ def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
         policy_kwargs={
             "net_arch": {"pi": layers, "vf": layers},
             "activation_fn": nn.Tanh,
+            "log_std_init": hyper.log_std_init,
             "optimizer_kwargs": {"eps": hyper.adam_eps},
         },
         seed=seeding.child_seed(config.seed, "initial weights"),

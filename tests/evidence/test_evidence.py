@@ -24,7 +24,7 @@ STUDIES = sorted({path.parent.parent.name for path in RECORDS})
 FIGURES = [name for name in figures.__all__ if name != "runs_of"]
 MANIFEST_PATH = DATA / "demonstrations" / MANIFEST
 MANIFEST_CONTENT = files.read_json(MANIFEST_PATH) if MANIFEST_PATH.is_file() else {}
-MAX_BYTES = 500_000  # of one committed file: evidence, not checkpoints
+MAX_BYTES = 1_000_000  # of one committed file: evidence, not checkpoints
 
 needs_records = pytest.mark.skipif(not RECORDS, reason="no run has been published yet")
 needs_demonstrations = pytest.mark.skipif(
