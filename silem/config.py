@@ -44,7 +44,7 @@ HUMANOID_LOG_STD = -1.6
 deviation 1 throw the body over before it has learned to stand (open in the paper)."""
 
 HUMANOID_TRANSFORM_RATE = 1e-3
-"""Adam's rate for T on humanoids, where T makes one or two steps an iteration (open in the paper)."""
+"""Adam's rate for T on humanoids, where T makes one or two steps an iteration (also open)."""
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
