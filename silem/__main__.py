@@ -83,6 +83,11 @@ def parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("bodies", help="list the bodies")
     command.set_defaults(command=_bodies)
+    command = commands.add_parser(
+        "mocap", help="make the human's demonstrations, and retarget them, from CMU's clips"
+    )
+    _add_quiet(command)
+    command.set_defaults(command=_mocap)
     return whole
 
 
@@ -240,9 +245,18 @@ def _render(options: argparse.Namespace) -> None:
     print(options.out)
 
 
+def _mocap(options: argparse.Namespace) -> None:
+    from silem.skeleton.clips import publish_clips
+    from silem.skeleton.retarget_report import publish_retargeted
+
+    progress = not options.quiet
+    for path in (*publish_clips(progress=progress), *publish_retargeted(progress=progress)):
+        print(path)
+
+
 def _bodies(options: argparse.Namespace) -> None:
     for name in bodies.names():
-        print(f"{name:6} {bodies.get(name).description}")
+        print(f"{name:9} {bodies.get(name).description}")
 
 
 if __name__ == "__main__":

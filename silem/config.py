@@ -14,15 +14,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from silem import bodies, paper
+from silem import bodies, defaults
 from silem.bodies import Body, atlas
 from silem.budgets import BUDGETS, Budget, of_body
+from silem.defaults import HUMAN, ORIGINAL_BODIES, retargeted
 from silem.errors import SilemError, choose
 from silem.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
 
 __all__ = [
     "BUDGETS",
     "DEMONSTRATOR_SEED",
+    "HUMAN",
     "IMITATORS",
     "METHODS",
     "ORIGINAL_BODIES",
@@ -31,30 +33,14 @@ __all__ = [
     "Budget",
     "HyperParameters",
     "RunConfig",
+    "retargeted",
 ]
-
-ORIGINAL_BODIES = {"halfcheetah": "HC0", "ant": "Ant0"}
-"""Per family the body whose expert demonstrates (Section 5 of the paper)."""
-
-HUMAN = "cmu_08_01"
-"""The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
-
-HUMANOID_LOG_STD = -1.6
-"""Start of the policy's log standard deviation on humanoids: torques that shake with standard
-deviation 1 throw the body over before it has learned to stand (open in the paper)."""
-
-HUMANOID_TRANSFORM_RATE = 1e-3
-"""Adam's rate for T on humanoids, where T makes one or two steps an iteration (also open)."""
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
 
 DEMONSTRATOR_SEED = TRIAL_SEEDS[0]
 """The trial of the expert whose policy is recorded as demonstrations."""
-
-
-_ONLY_HUMANOIDS = ("tpil", "peng20")
-_ONLY_RUNNERS = ("silem-minus-own", "silem-mlp")
 
 
 @dataclass(frozen=True)
@@ -101,8 +87,8 @@ class RunConfig:
         choose("body", body, bodies.names())
         choose("method", method, METHODS)
         family = bodies.get(body).family
-        _check_method(method, body, family)
-        demonstrations = _demonstrations(body, method, family, demonstrations)
+        defaults.check_method(method, body, family)
+        demonstrations = defaults.demonstrations(body, method, family, demonstrations)
         if isinstance(budget, str):
             budget = BUDGETS[choose("budget", budget, BUDGETS)]
         budget = of_body(budget, body, family)
@@ -114,10 +100,10 @@ class RunConfig:
         used = HyperParameters.names_used_by(method)
         for name in hyper_overrides:
             choose(f"hyper-parameter of {method}", name, used)
-        values = _defaults(body, method, family, demonstrations)
+        values = defaults.hyper_parameters(body, method, family, demonstrations)
         values = {name: value for name, value in values.items() if name in used}
         hyper = HyperParameters(**(values | hyper_overrides))
-        _check_ankle(body, hyper.ankle_range_rad)
+        defaults.check_ankle(body, hyper.ankle_range_rad)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
         if method != "random" and steps % minibatch:
             raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
@@ -203,58 +189,3 @@ class RunConfig:
             )
         except (KeyError, TypeError) as error:
             raise SilemError(f"no valid run configuration: {error}") from error
-
-
-def _check_method(method: str, body: str, family: str) -> None:
-    """Refuse a method that a family of bodies has not."""
-    refused = _ONLY_RUNNERS if family == "humanoid" else _ONLY_HUMANOIDS
-    if method in refused:
-        allowed = ", ".join(name for name in METHODS if name not in refused)
-        raise SilemError(f"method {method!r} is not for {body}; allowed: {allowed}")
-
-
-def _demonstrations(body: str, method: str, family: str, demonstrations: str | None) -> str:
-    if method not in IMITATORS:
-        if demonstrations:
-            raise SilemError(f"method {method!r} uses no demonstrations")
-        return ""
-    if method == "silem-minus-own":
-        if demonstrations not in (None, body):
-            raise SilemError(f"silem-minus-own of {body} imitates {body}, not {demonstrations}")
-        return body
-    if family != "humanoid":
-        return choose("demonstrations", demonstrations or ORIGINAL_BODIES[family], bodies.names())
-    if method == "peng20":
-        chosen = demonstrations or retargeted(HUMAN, body)
-        if not chosen.endswith(f"_on_{body}"):
-            raise SilemError(f"peng20 imitates a clip retargeted to {body}, not {chosen!r}")
-        return chosen
-    return demonstrations or HUMAN
-
-
-def retargeted(clip: str, body: str) -> str:
-    """Return the name of a clip's demonstrations retargeted to a body."""
-    return f"{clip}_on_{body}"
-
-
-def _defaults(body: str, method: str, family: str, demonstrations: str) -> dict[str, Any]:
-    """Return the values of the supplement for one cell: common settings, then the best found."""
-    best = paper.best_combination(body, method, demonstrations)
-    if family != "humanoid":
-        return best
-    shared = {
-        "policy_hidden": tuple(paper.number("humanoid_policy_hidden")),
-        "disc_hidden": tuple(paper.number("humanoid_disc_hidden")),
-        "n_trajectories": 1,
-        "log_std_init": HUMANOID_LOG_STD,
-        "transform_learning_rate": HUMANOID_TRANSFORM_RATE,
-        "n_transform_updates": paper.grid_values("tab4_h")["N_G"][0],
-        "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
-        "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,
-    }
-    return shared | paper.common(family) | best
-
-
-def _check_ankle(body: str, ankle_range_rad: float) -> None:
-    if (body == "Atlas") != (ankle_range_rad > 0):
-        raise SilemError(f"ankle_range_rad {ankle_range_rad:g} on {body}: it is Atlas's alone")

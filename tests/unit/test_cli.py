@@ -28,7 +28,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0", "needs --body and --method"),
         ("run --body HC0 --method ppo --budget big", "unknown budget 'big'; allowed: tiny"),
         ("run --body HC0 --method ppo --set gamma", "NAME=VALUE"),
-        ("run --body HC0 --method ppo --set gamma=high", "no number"),
+        ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
         ("run --body HC0 --method ppo --set gama=0.9", "unknown hyper-parameter of ppo 'gama'"),
         ("run --body HC0 --method silem --quiet", "python -m silem demonstrations --body HC0"),
         ("run --config nowhere.json", "cannot read nowhere.json"),
