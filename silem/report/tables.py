@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import html
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,10 @@ from pandas.io.formats.style import Styler
 from silem import bodies, paper
 from silem.bodies.describe import describe
 from silem.report import results, style
+from silem.report.features import feature_names
 
 DASH = "–"
+_MOTORS_LISTED = 8
 
 
 def table_1(frame: pd.DataFrame) -> Styler:
@@ -45,7 +47,7 @@ def table_1(frame: pd.DataFrame) -> Styler:
 
 
 def body_table(names: Sequence[str] | None = None) -> Styler:
-    """Return a table of bodies: what sets each apart, masses as PyBullet has them, motors.
+    """Return a table of bodies: what sets each apart, masses as the simulator has them, motors.
 
     Args:
         names: The bodies; None means all.
@@ -63,11 +65,19 @@ def body_table(names: Sequence[str] | None = None) -> Styler:
                 "mass (kg)": f"{facts['total_mass_kg']:.1f}",
                 "heaviest link (kg)": f"{heaviest} {facts['masses_kg'][heaviest]:.1f}",
                 "joints": len(facts["joints"]),
-                "motors (N m)": ", ".join(f"{k} {v:g}" for k, v in facts["actuators"].items()),
-                "features": body.observation_size,
+                "motors (N m)": _motors(facts["actuators"]),
+                "features": len(feature_names(name)),
             }
         )
     return styled(pd.DataFrame(rows))
+
+
+def _motors(torques_n_m: Mapping[str, float]) -> str:
+    """List a body's motors with their torques; of many only how many and the torques' range."""
+    if len(torques_n_m) <= _MOTORS_LISTED:
+        return ", ".join(f"{joint} {torque:g}" for joint, torque in torques_n_m.items())
+    low, high = min(torques_n_m.values()), max(torques_n_m.values())
+    return f"{len(torques_n_m)} of {low:g} to {high:g}"
 
 
 def paper_table(key: str) -> Styler:
@@ -95,6 +105,8 @@ def paper_table(key: str) -> Styler:
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and wall time.
 
+    Runs of fewer iterations than planned stand in rows of their own.
+
     Args:
         frame: Runs of one study at one budget.
     """
@@ -103,47 +115,56 @@ def cell_table(frame: pd.DataFrame) -> Styler:
         for method in style.METHODS:
             if not results.is_planned(frame, method, body):
                 continue
-            runs = results.cell(frame, method, body)
-            rows.append(
-                {
-                    "body": body,
-                    "method": style.method(method, results.original_body(frame)).label,
-                    "trials": len(runs),
-                    "return": _mean_and_range(runs["return_mean"]),
-                    "score": _mean_and_range(runs["normalised"], digits=2),
-                    "speed (m/s)": _mean(runs["speed_m_s"], 2),
-                    "upright": _mean(100 * runs["upright"], 0, " %"),
-                    "discriminator reward": _mean(runs["disc_reward"], 0),
-                    "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
-                }
-            )
+            label = style.method(method, results.original_body(frame)).label
+            rows.append(_cell_row(frame, body, label, results.cell(frame, method, body)))
+            for n, runs in results.shorter(frame, method, body).groupby("n_iterations"):
+                planned = runs["planned_iterations"].iloc[0]
+                words = f"{label}, shorter: {n:,} of {planned:,} iterations"
+                rows.append(_cell_row(frame, body, words, runs))
     return styled(pd.DataFrame(rows))
 
 
+def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) -> dict[str, Any]:
+    return {
+        "body": body,
+        "method": label,
+        "trials": len(runs),
+        "return": _mean_and_range(runs["return_mean"]),
+        "score": _mean_and_range(runs["normalised"], digits=2),
+        "speed (m/s)": _mean(runs["speed_m_s"], 2),
+        results.upright_label(frame).removeprefix("share of "): _mean(
+            100 * runs["upright"], 0, " %"
+        ),
+        "discriminator reward": _mean(runs["disc_reward"], 0),
+        "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
+    }
+
+
 def run_table(frame: pd.DataFrame) -> Styler:
-    """Return one row per run.
+    """Return one row per run: where a cell has one or two trials, each is worth its own row.
 
     Args:
         frame: Runs of one study at one budget.
     """
-    columns = {
-        "run_id": "run",
-        "seed": "seed",
-        "return_mean": "return",
-        "return_std": "± episodes",
-        "normalised": "score",
-        "speed_m_s": "speed (m/s)",
-        "upright": "upright",
-        "disc_reward": "discriminator reward",
-        "steps_per_s": "steps/s",
-        "wall_time_s": "wall time (s)",
-        "commit": "commit",
-    }
-    table = frame[list(columns)].rename(columns=columns)
-    digits = {"score": 2, "speed (m/s)": 2, "upright": 2}
-    for name in table.columns.difference(["run", "seed", "commit"]):
-        table[name] = [number(value, digits.get(name, 0)) for value in table[name]]
-    return styled(table.assign(run=table["run"].map(_code), commit=table["commit"].str[:7]))
+    rows = []
+    for run in frame.itertuples():
+        trained = run.method != "random"
+        planned = f" of {run.planned_iterations:,}" if run.shorter else ""
+        rows.append(
+            {
+                "run": _code(str(run.run_id)),
+                "iterations": f"{run.n_iterations:,}{planned}" if trained else DASH,
+                "return": f"{number(run.return_mean)} ± {number(run.return_std)}",
+                "score": number(run.normalised, 2),
+                "speed (m/s)": number(run.speed_m_s, 2),
+                results.upright_label(frame).removeprefix("share of "): f"{run.upright:.0%}",
+                "discriminator reward": number(run.disc_reward),
+                "steps/s": number(run.steps_per_s),
+                "wall time (min)": number(run.wall_time_s / 60, 1),
+                "commit": run.commit[:7],
+            }
+        )
+    return styled(pd.DataFrame(rows))
 
 
 def missing_table(frame: pd.DataFrame) -> Styler:
