@@ -25,8 +25,8 @@ _COSTS = {  # of position (per m) and orientation (per rad): what is out of reac
     "left_foot": (10.0, 0.0),
     "right_foot": (10.0, 0.0),
 }
-_STANDING_COST = 0.01  # towards the standing pose, in what the targets leave open
-_PREVIOUS_COST = 0.05  # towards the frame before
+_STANDING_COST = 0.004  # towards the standing pose, in what the targets leave open
+_PREVIOUS_COST = 0.025  # towards the frame before
 _BELOW_FLOOR_COST = 100.0  # counts in whether a step is accepted
 
 _MAX_STEPS = 200
