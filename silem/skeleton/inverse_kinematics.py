@@ -81,7 +81,7 @@ class PoseSolver:
     def _descend(self) -> None:
         """Step until the cost no longer falls.
 
-        Full steps would swing to and fro about a leg that is nearly straight and about a target
+        Full steps would overshoot again and again at a leg that is nearly straight and at a target
         just out of reach: a step that does not help is taken back, and a shorter one tried.
         """
         configuration, cost = self._configuration, self._cost()
