@@ -35,6 +35,7 @@ class Cell:
 _HALF_CHEETAHS = ("HC0", "HC1", "HC2")
 _HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
 _FIGURE_2B, _FIGURE_3B, _NO_PENALTY = "halfcheetah", "humanoids", "no-gradient-penalty"
+_LONG, _STARTS = "humanoids-long", "demonstration-starts"
 # The paper gives PPO 8000 iterations on humanoids, at a learning rate of 1e-4 and a clip range of
 # 0.1. The book's budget is a fraction of that: it takes larger steps, for every method alike.
 _LARGER_STEPS = (("learning_rate", 3e-4), ("clip_range", 0.2))
@@ -53,6 +54,15 @@ _STUDIES = {
         Cell(_FIGURE_3B, method, body, overrides=() if method == "random" else _LARGER_STEPS)
         for method in ("ppo", "silem", "silem-minus", "peng20", "tpil", "random")
         for body in _HUMANOIDS
+    ),
+    # what five times the iterations change; made with --iterations
+    _LONG: (
+        Cell(_LONG, "silem", "Humanoid", overrides=_LARGER_STEPS),
+        Cell(_LONG, "ppo", "Humanoid", overrides=_LARGER_STEPS),
+    ),
+    # episodes that start from the demonstration's states, which the paper argues against needing
+    _STARTS: (
+        Cell(_STARTS, "silem", "Humanoid", overrides=(*_LARGER_STEPS, ("starts", "demonstration"))),
     ),
     # HalfCheetah with the paper's loss for D, which has no gradient penalty: page "Deviations"
     _NO_PENALTY: tuple(
