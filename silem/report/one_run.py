@@ -6,8 +6,6 @@ They belong to the notebooks that make a run; the figures of a whole study are i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
@@ -15,17 +13,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from silem import files
+from silem import bodies, files
 from silem.demonstrations import Demonstrations
 from silem.envs.simulator import STEP_S
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 from silem.report import style
-from silem.report.features import feature_names
+from silem.report.features import Group, feature_groups, feature_names
 from silem.study.record import CURVE, TRANSFORM, RunRecord
 
 # Curve columns by panel: title, and each line's label.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     ("return of an episode", {"return_mean": ""}),
+    ("steps before a fall", {"episode_length": ""}),
     ("forward speed (m/s)", {"speed_m_s": ""}),
     ("discriminator reward of an episode", {"disc_reward": ""}),
     (
@@ -41,47 +40,51 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
     """Draw the start of one demonstrated trajectory, every skeletal feature over time.
 
     Args:
-        demonstrations: Of a body whose features are its observation.
+        demonstrations: Of a PyBullet body, whose features are its observation. Those of a human
+            are drawn by `silem.report.figures.motion`.
         index: Which trajectory.
         duration_s: How much of it, seconds.
 
     Raises:
-        SilemError: There is no such trajectory, or its features are not the body's.
+        SilemError: It is no PyBullet body's, there is no such trajectory, or its features are not
+            the body's.
     """
-    names = feature_names(demonstrations.body)
+    body = bodies.get(choose("runner", demonstrations.body, _runners()))
+    names = feature_names(body.name)
     if not 0 <= index < len(demonstrations.features):
         raise SilemError(f"trajectory {index} of {len(demonstrations.features)}")
     n_states = max(2, round(duration_s / STEP_S))
     values = demonstrations.features[index][:n_states]
     if values.shape[1] != len(names):
         raise SilemError(f"{values.shape[1]} features, {demonstrations.body} has {len(names)}")
-    groups = _groups(names)
+    *lines, contacts = feature_groups(body.name)
     with style.applied():
-        heights = [3.2, 3, 3, 0.34 * len(groups["contact"])]
+        heights = [3.2, 3, 3, 0.34 * len(contacts.columns)]
         figure, all_axes = style.new_figure(
             7.2, nrows=4, sharex=True, gridspec_kw={"height_ratios": heights}
         )
         time_s = np.arange(len(values)) * STEP_S
-        for axes, (group, columns) in zip(all_axes[:3], list(groups.items())[:3], strict=True):
-            _draw_lines(axes, time_s, values[:, columns], [names[i] for i in columns], group)
-        _draw_contacts(all_axes[3], values, names, groups["contact"])
+        for axes, group in zip(all_axes[:3], lines, strict=True):
+            _draw_lines(axes, time_s, values, group)
+        _draw_contacts(all_axes[3], values, contacts)
         all_axes[3].set_xlabel("time (s)")
         figure.align_ylabels(all_axes)
     return figure
 
 
 def curve(record: RunRecord) -> Figure:
-    """Draw the learning curve of one run, a panel for each of the first four quantities it knows.
+    """Draw the learning curve of one run, a panel for each of the first quantities it knows.
+
+    There are four at most, and six for a humanoid, whose episodes end with a fall.
 
     Raises:
         SilemError: The run has no curve, or its file is damaged.
     """
     table = pd.read_csv(record.file(CURVE))
     panels = [
-        (title, lines)
-        for title, lines in _PANELS
-        if title in _ALWAYS or table[list(lines)].notna().to_numpy().any()
-    ][:4]
+        (title, lines) for title, lines in _PANELS if title in _ALWAYS or _is_known(table, lines)
+    ]
+    panels = panels[: 6 if _is_known(table, {"episode_length": ""}) else 4]
     with style.applied():
         n_columns = 3 if len(panels) == 3 else 2
         n_rows = -(-len(panels) // n_columns)
@@ -126,6 +129,11 @@ def transform(record: RunRecord) -> Figure:
     return figure
 
 
+def _is_known(table: pd.DataFrame, lines: dict[str, str]) -> bool:
+    """Tell whether a curve has a number in any of some columns; older curves lack the newest."""
+    return bool(table.reindex(columns=list(lines)).notna().to_numpy().any())
+
+
 def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
     colors = style.INK, style.method("silem").color
     for color, (column, label) in zip(colors, lines.items(), strict=False):
@@ -151,48 +159,26 @@ def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
-def _groups(names: Sequence[str]) -> dict[str, list[int]]:
-    """Sort the features' columns into the panels of `trajectory`, keyed by their axis labels."""
-    ends = {"contact": " contact", "angle": " angle", "velocity": " velocity"}
-    joints = {name.removesuffix(" angle") for name in names if name.endswith(" angle")}
-    groups: dict[str, list[int]] = {"torso": [], "angle": [], "velocity": [], "contact": []}
-    for index, name in enumerate(names):
-        kind = next((k for k, end in ends.items() if name.endswith(end)), "torso")
-        if kind == "velocity" and name.removesuffix(" velocity") not in joints:
-            kind = "torso"
-        groups[kind].append(index)
-    return groups
+def _runners() -> list[str]:
+    return [name for name in bodies.names() if bodies.get(name).engine == "bullet"]
 
 
-_GROUP_LABELS = {
-    "torso": "torso\n(m; 0.3 × m/s; rad)",
-    "angle": "joint angle\n(−1, 1: its limits)",
-    "velocity": "joint velocity\n(0.1 × rad/s)",
-}
-
-
-def _draw_lines(
-    axes: Axes, time_s: np.ndarray, values: np.ndarray, names: Sequence[str], group: str
-) -> None:
+def _draw_lines(axes: Axes, time_s: np.ndarray, values: np.ndarray, group: Group) -> None:
     colors = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]
-    for column, name in enumerate(names):
-        label = name.removesuffix(f" {group}")
-        axes.plot(time_s, values[:, column], lw=1.2, color=colors[column % 10], label=label)
-    axes.set_ylabel(_GROUP_LABELS[group])
+    for place, (column, label) in enumerate(zip(group.columns, group.labels, strict=True)):
+        axes.plot(time_s, values[:, column], lw=1.2, color=colors[place % 10], label=label)
+    axes.set_ylabel(f"{group.name}\n({group.unit})")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, handlelength=1.2)
 
 
-def _draw_contacts(
-    axes: Axes, values: np.ndarray, names: Sequence[str], columns: list[int]
-) -> None:
+def _draw_contacts(axes: Axes, values: np.ndarray, group: Group) -> None:
     """Draw a bar for every stretch of time in which a part touches the floor."""
-    for row, column in enumerate(columns):
+    for row, column in enumerate(group.columns):
         touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
         starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
         bars = list(zip(starts * STEP_S, (ends - starts) * STEP_S, strict=True))
         axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK, lw=0)
-    labels = [names[column].removesuffix(" contact") for column in columns]
-    axes.set_yticks(range(len(columns)), labels)
-    axes.set_ylim(len(columns) - 0.4, -0.6)
+    axes.set_yticks(range(len(group.labels)), group.labels)
+    axes.set_ylim(len(group.labels) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
-    axes.set_ylabel("floor contact")
+    axes.set_ylabel(group.name)

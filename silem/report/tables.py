@@ -61,7 +61,7 @@ def body_table(names: Sequence[str] | None = None) -> Styler:
             {
                 "body": name,
                 "what it is": body.description,
-                "what sets it apart (m)": f"{label}: {length_m:g}",
+                "what sets it apart (m)": f"{label}: {length_m:.3g}",
                 "mass (kg)": f"{facts['total_mass_kg']:.1f}",
                 "heaviest link (kg)": f"{heaviest} {facts['masses_kg'][heaviest]:.1f}",
                 "joints": len(facts["joints"]),
@@ -125,6 +125,7 @@ def cell_table(frame: pd.DataFrame) -> Styler:
 
 
 def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) -> dict[str, Any]:
+    upright = results.upright_label(frame).removeprefix("share of ")
     return {
         "body": body,
         "method": label,
@@ -132,9 +133,7 @@ def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) ->
         "return": _mean_and_range(runs["return_mean"]),
         "score": _mean_and_range(runs["normalised"], digits=2),
         "speed (m/s)": _mean(runs["speed_m_s"], 2),
-        results.upright_label(frame).removeprefix("share of "): _mean(
-            100 * runs["upright"], 0, " %"
-        ),
+        upright: _mean(100 * runs["upright"], 0, " %"),
         "discriminator reward": _mean(runs["disc_reward"], 0),
         "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
     }
@@ -146,22 +145,22 @@ def run_table(frame: pd.DataFrame) -> Styler:
     Args:
         frame: Runs of one study at one budget.
     """
+    upright = results.upright_label(frame).removeprefix("share of ")
     rows = []
-    for run in frame.itertuples():
-        trained = run.method != "random"
-        planned = f" of {run.planned_iterations:,}" if run.shorter else ""
+    for run in frame.to_dict("records"):
+        planned = f" of {run['planned_iterations']:,}" if run["shorter"] else ""
         rows.append(
             {
-                "run": _code(str(run.run_id)),
-                "iterations": f"{run.n_iterations:,}{planned}" if trained else DASH,
-                "return": f"{number(run.return_mean)} ± {number(run.return_std)}",
-                "score": number(run.normalised, 2),
-                "speed (m/s)": number(run.speed_m_s, 2),
-                results.upright_label(frame).removeprefix("share of "): f"{run.upright:.0%}",
-                "discriminator reward": number(run.disc_reward),
-                "steps/s": number(run.steps_per_s),
-                "wall time (min)": number(run.wall_time_s / 60, 1),
-                "commit": run.commit[:7],
+                "run": _code(run["run_id"]),
+                "iterations": f"{run['n_iterations']:,}{planned}" if run["n_steps"] else DASH,
+                "return": f"{number(run['return_mean'])} ± {number(run['return_std'])}",
+                "score": number(run["normalised"], 2),
+                "speed (m/s)": number(run["speed_m_s"], 2),
+                upright: f"{number(100 * run['upright'])} %",
+                "discriminator reward": number(run["disc_reward"]),
+                "steps/s": number(run["steps_per_s"]),
+                "wall time (min)": number(run["wall_time_s"] / 60, 1),
+                "commit": run["commit"][:7],
             }
         )
     return styled(pd.DataFrame(rows))
