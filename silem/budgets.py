@@ -103,7 +103,7 @@ def of_body(budget: Budget, body: str, family: str) -> Budget:
     base = BUDGETS.get(budget.name.partition("-")[0])
     if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
         return budget
-    counts: dict[str, int] = {"n_iterations": LONGER.get((base.name, body), base.n_iterations)}
+    counts: dict[str, Any] = {"n_iterations": LONGER.get((base.name, body), base.n_iterations)}
     if family == "humanoid":
         counts |= HUMANOIDS[base.name]
     if budget != base:

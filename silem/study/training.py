@@ -46,7 +46,7 @@ _IMITATION_ARGUMENTS = (
 
 def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
-    options = {}
+    options: dict[str, Any] = {}
     if config.hyper.starts == "demonstration":
         from silem.skeleton.retarget import demonstration_states
 
