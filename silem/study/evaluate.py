@@ -130,7 +130,7 @@ def episodes(
     try:
         if hasattr(policy, "reseed"):
             policy.reseed(seeding.child_seed(seed, "policy"))
-        observations = env.reset()
+        observations = np.asarray(env.reset())
         first = np.asarray(env.reset_infos[0].get(INFO_KEY, observations[0]))
         of_learner = LearnerFeatures(first.size)
         states = [[row] for row in of_learner.first(env, observations)]

@@ -21,6 +21,7 @@ from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.silem import SILEM
 from silem.imitation.tpil import TPIL
 from silem.learning.ppo import PPO
+from silem.skeleton.retarget import demonstration_states
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 
@@ -48,8 +49,6 @@ def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
     options: dict[str, Any] = {}
     if config.hyper.starts == "demonstration":
-        from silem.skeleton.retarget import demonstration_states
-
         options["starts"] = demonstration_states(retargeted(HUMAN, config.body))
     seed = seeding.child_seed(config.seed, "env")
     return make_vec(config.learner, config.budget.n_envs, seed, **options)
