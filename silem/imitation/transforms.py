@@ -47,7 +47,7 @@ class MLPTransform(nn.Sequential):
 def l2_penalty(
     transform: AffineTransform, scale_coef: float, offset_coef: float, form: str = "deviation"
 ) -> th.Tensor:
-    """Return the supplement's L2 term on the affine transform, w_d |A|^2 + w_b |b|^2.
+    """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
 
     The supplement names the two coefficients and not the form. "deviation" measures A from one:
     the identity, which says that the two bodies are alike, is what a transform should fall back
