@@ -62,9 +62,9 @@ def demonstrations(body: str, method: str, family: str, wanted: str | None) -> s
     return wanted or HUMAN
 
 
-def retargeted(clip: str, body: str) -> str:
-    """Return the name of a clip's demonstrations retargeted to a body."""
-    return f"{clip}_on_{body}"
+def retargeted(demonstrations: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    return f"{demonstrations}_on_{body}"
 
 
 def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[str, Any]:

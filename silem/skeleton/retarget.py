@@ -14,7 +14,6 @@ import numpy as np
 from tqdm import tqdm
 
 from silem.bodies.body import MujocoBody
-from silem.demonstrations import Demonstrations
 from silem.errors import SilemError
 from silem.skeleton import poses
 from silem.skeleton.demonstrator import Motion
@@ -162,25 +161,6 @@ def _measure(
         sole_height_m=sole_height_m,
         ratios=wanted.ratios,
     )
-
-
-def demonstration_states(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states of retargeted demonstrations, for episodes that start from them.
-
-    Args:
-        name: Their name, for example "cmu_08_01_on_Humanoid".
-
-    Returns:
-        Positions (S, nq) and velocities (S, nv) of the learner's body.
-
-    Raises:
-        SilemError: There are none of this name, or they hold no states of a body.
-    """
-    extra = Demonstrations.load(name).extra
-    missing = [array for array in ("qpos", "qvel") if array not in extra]
-    if missing:
-        raise SilemError(f"demonstrations {name!r} hold no states: they lack {', '.join(missing)}")
-    return extra["qpos"], extra["qvel"]
 
 
 def _hinges_at_limit(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:

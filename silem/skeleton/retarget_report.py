@@ -12,6 +12,7 @@ from silem import bodies, files, paper, paths
 from silem import demonstrations as demos
 from silem.bodies import atlas
 from silem.bodies.body import MujocoBody
+from silem.defaults import retargeted
 from silem.demonstrations import Demonstrations
 from silem.skeleton.clips import published_motion, published_name
 from silem.skeleton.inverse_kinematics import SOLVER
@@ -46,11 +47,6 @@ def learner(name: str) -> MujocoBody:
     body = bodies.get(name)
     assert isinstance(body, MujocoBody)
     return body
-
-
-def retargeted_name(clip: str, body: str) -> str:
-    """Return the name of the demonstrations: "cmu_08_01_on_Atlas" for "08_01" and "Atlas"."""
-    return f"{published_name(clip)}_on_{body}"
 
 
 def summary(result: IKResult) -> dict[str, Any]:
@@ -94,13 +90,12 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
     motion = published_motion(clip)
     written = []
     with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
-        for name in BODIES:
-            result = retarget_clip(motion, learner(name), progress_bar=progress)
+        for body in BODIES:
+            result = retarget_clip(motion, learner(body), progress_bar=progress)
             extra = {array: getattr(result, array) for array in _ARRAYS}
-            demonstrations = Demonstrations((result.features,), body=name, extra=extra)
-            written.append(
-                demos.publish(retargeted_name(clip, name), demonstrations, _about(result))
-            )
+            demonstrations = Demonstrations((result.features,), body=body, extra=extra)
+            name = retargeted(published_name(clip), body)
+            written.append(demos.publish(name, demonstrations, _about(result)))
     return written
 
 
@@ -110,8 +105,8 @@ def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
     Raises:
         SilemError: It was not published, or its file is damaged.
     """
-    about = demos.entry(retargeted_name(clip, body))
-    there = Demonstrations.load(retargeted_name(clip, body))
+    name = retargeted(published_name(clip), body)
+    about, there = demos.entry(name), Demonstrations.load(name)
     return IKResult(
         body=body,
         motion=clip,

@@ -17,11 +17,12 @@ from silem import files, seeding
 from silem.config import HUMAN, RunConfig, retargeted
 from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
+from silem.envs.mujoco import body_of
 from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.silem import SILEM
 from silem.imitation.tpil import TPIL
 from silem.learning.ppo import PPO
-from silem.skeleton.retarget import demonstration_states
+from silem.skeleton.starts import demonstration_states
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 
@@ -49,7 +50,8 @@ def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
     options: dict[str, Any] = {}
     if config.hyper.starts == "demonstration":
-        options["starts"] = demonstration_states(retargeted(HUMAN, config.body))
+        name = retargeted(HUMAN, config.body)
+        options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
     return make_vec(config.learner, config.budget.n_envs, seed, **options)
 

@@ -11,18 +11,18 @@ import pytest
 
 from silem import bodies
 from silem.bodies.body import MujocoBody
+from silem.defaults import HUMAN, retargeted
 from silem.demonstrations import Demonstrations
 from silem.errors import SilemError
 from silem.skeleton import poses
 from silem.skeleton.clips import published_motion
 from silem.skeleton.demonstrator import Motion
 from silem.skeleton.features import FEATURES, POINTS, Landmarks, g
-from silem.skeleton.retarget import IKResult, demonstration_states, retarget_clip
+from silem.skeleton.retarget import IKResult, retarget_clip
 from silem.skeleton.retarget_report import (
     BODIES,
     learner,
     published_retargeting,
-    retargeted_name,
     summary,
 )
 from silem.skeleton.soles import Soles
@@ -248,8 +248,8 @@ def test_soles_know_spheres_capsules_and_tilted_boxes():
 
 @pytest.mark.parametrize("name", BODIES)
 def test_published_states_and_features_belong_together(name):
-    qpos, qvel = demonstration_states(retargeted_name("08_01", name))
-    demonstrations = Demonstrations.load(retargeted_name("08_01", name))
+    demonstrations = Demonstrations.load(retargeted(HUMAN, name))
+    qpos, qvel = demonstrations.extra["qpos"], demonstrations.extra["qvel"]
     (features,) = demonstrations.features
     body = learner(name)
     model = compiled(body)
@@ -273,10 +273,3 @@ def test_what_is_published_is_what_retargeting_gives(human):
     assert figures["residual_worst_mm"]["left_foot"] < 1 < figures["residual_worst_mm"]["left_hand"]
     assert figures["speed_m_s"] == pytest.approx(human.speed_m_s * published.ratios.leg, abs=0.02)
     assert set(figures["at_limit_share"]) <= set(published.joint_names)
-
-
-def test_demonstrations_without_states_give_no_starts():
-    with pytest.raises(SilemError, match="'HC0' hold no states: they lack qpos, qvel"):
-        demonstration_states("HC0")
-    with pytest.raises(SilemError, match="cmu_08_99_on_Humanoid"):
-        demonstration_states("cmu_08_99_on_Humanoid")

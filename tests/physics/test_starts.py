@@ -1,0 +1,134 @@
+"""Episodes that start from a demonstration's states: states the learner's body can be in."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from silem import bodies, demonstrations, paths
+from silem.bodies import MujocoBody, atlas
+from silem.config import HUMAN, RunConfig, retargeted
+from silem.demonstrations import Demonstrations
+from silem.errors import SilemError
+from silem.skeleton.retarget_report import BODIES, learner, published_retargeting
+from silem.skeleton.soles import Soles
+from silem.skeleton.starts import demonstration_states
+from silem.study.training import make_env
+
+ANKLES = ("l_leg_aky", "l_leg_akx", "r_leg_aky", "r_leg_akx")
+
+
+def states(body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
+    return demonstration_states(retargeted(HUMAN, body.name), body)
+
+
+def lowest_soles(body: MujocoBody, qpos: np.ndarray) -> np.ndarray:
+    """How high each state's lowest sole is above the floor, (S,)."""
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    data = mujoco.MjData(model)
+    soles = Soles(model, [body.skeleton.left_foot, body.skeleton.right_foot])
+    heights = []
+    for data.qpos[:] in qpos:
+        mujoco.mj_kinematics(model, data)
+        heights.append(soles.heights(data).min())
+    return np.array(heights)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_states_that_fit_are_the_retargeted_ones(name: str) -> None:
+    published = published_retargeting(name)
+    qpos, qvel = states(learner(name))
+    np.testing.assert_array_equal(qpos, published.qpos)
+    np.testing.assert_array_equal(qvel, published.qvel)
+
+
+def test_ankles_that_turn_less_are_put_to_their_limits() -> None:
+    body, published = atlas.body(0.1), published_retargeting("Atlas")
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    ankles = [model.joint(name) for name in ANKLES]
+    places = [joint.qposadr[0] for joint in ankles]
+    rates = [joint.dofadr[0] for joint in ankles]
+    qpos, qvel = states(body)
+    assert np.abs(published.qpos[:, places]).max() > 0.29  # what has to be changed
+    assert np.abs(qpos[:, places]).max() <= 0.1 + 1e-3
+    beyond = np.abs(published.qpos[:, places]) > 0.1 + 1e-3
+    np.testing.assert_allclose(np.abs(qpos[:, places][beyond]), 0.1)
+    assert (qvel[:, rates][beyond] == 0).all()
+    others = np.setdiff1d(np.arange(model.nq), [2, *places])
+    np.testing.assert_array_equal(qpos[:, others], published.qpos[:, others])
+    other_rates = np.setdiff1d(np.arange(model.nv), rates)
+    np.testing.assert_array_equal(qvel[:, other_rates], published.qvel[:, other_rates])
+
+
+def test_a_body_put_to_its_limits_stands_on_the_floor_not_in_it() -> None:
+    body, published = atlas.body(0.1), published_retargeting("Atlas")
+    qpos, _ = states(body)
+    assert lowest_soles(body, qpos).min() > -1e-5
+    lift_m = qpos[:, 2] - published.qpos[:, 2]
+    assert lift_m.min() == 0 and 0.01 < lift_m.max() < 0.03
+    sunk = qpos.copy()
+    sunk[:, 2] = published.qpos[:, 2]
+    assert lowest_soles(body, sunk).min() < -0.01  # without the lift
+
+
+@pytest.fixture
+def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of demonstrations, to be written by the test that uses them."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    return retargeted(HUMAN, "Humanoid")
+
+
+def publish(name: str, **extra: np.ndarray) -> None:
+    features = np.zeros((3, 23), np.float32)
+    demonstrations.publish(name, Demonstrations((features,), body="Humanoid", extra=extra), {})
+
+
+def test_states_of_another_body_are_refused(broken: str) -> None:
+    publish(broken, qpos=np.zeros((3, 35)), qvel=np.zeros((3, 34)))
+    message = r"hold states of shape \(35,\) and \(34,\); Humanoid needs \(28,\) and \(27,\)"
+    with pytest.raises(SilemError, match=message):
+        states(bodies.get("Humanoid"))
+
+
+@pytest.mark.parametrize(("array", "value"), [("qpos", np.nan), ("qvel", np.inf)])
+def test_states_that_are_not_finite_are_refused(broken: str, array: str, value: float) -> None:
+    arrays = {"qpos": np.zeros((3, 28)), "qvel": np.zeros((3, 27))}
+    arrays[array][1, 8] = value
+    publish(broken, **arrays)
+    with pytest.raises(SilemError, match=f"'{broken}': state 1 holds NaN or infinity"):
+        states(bodies.get("Humanoid"))
+
+
+def test_demonstrations_without_states_give_no_starts() -> None:
+    with pytest.raises(SilemError, match="'HC0' hold no states: they lack qpos, qvel"):
+        demonstration_states("HC0", learner("Humanoid"))
+    with pytest.raises(SilemError, match="cmu_08_99_on_Humanoid"):
+        demonstration_states("cmu_08_99_on_Humanoid", learner("Humanoid"))
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_training_starts_from_them_where_it_is_asked_to(name: str) -> None:
+    config = RunConfig.create(name, "silem", starts="demonstration")
+    assert isinstance(config.learner, MujocoBody)
+    allowed, _ = states(config.learner)
+    for starts in ("demonstration", "standing"):
+        asked = dataclasses.replace(config.hyper, starts=starts)
+        env = make_env(dataclasses.replace(config, hyper=asked))
+        try:
+            env.reset()
+            begun = env.simulation.read().qpos
+        finally:
+            env.close()
+        among = [(allowed == state).all(axis=1).any() for state in begun]
+        assert all(among) if starts == "demonstration" else not any(among)
+
+
+def test_a_runner_has_no_such_starts() -> None:
+    config = RunConfig.create("HC0", "silem", starts="demonstration")
+    with pytest.raises(SilemError, match="HC0"):
+        make_env(config)
+    assert not (paths.demonstrations_dir() / f"{retargeted(HUMAN, 'HC0')}.npz").exists()
