@@ -19,7 +19,7 @@ from silem.study.studies import cells, study_configs
 KEYS = ["body", "method", "demonstrations", "seed"]
 COLUMNS = [
     "run_id", *KEYS, "return_mean", "return_std", "normalised", "expert_return", "speed_m_s",
-    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "planned_iterations", "shorter",
+    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "planned_iterations", "stand_in",
     "n_steps", "steps_per_s", "wall_time_s", "commit", "dirty", "command", "returns", "folder",
 ]  # fmt: skip
 
@@ -33,7 +33,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     body, because every evaluation meets the same episodes.
 
     A planned run that is not finished may be stood in for by the longest run that differs from it
-    in nothing but fewer iterations (`Budget.with_iterations`). It is marked ``shorter``, its
+    in nothing but its number of iterations (`Budget.with_iterations`). It is a ``stand_in``, its
     planned run stays listed as missing, and `results.cell` leaves it out.
 
     Args:
@@ -53,18 +53,18 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
     """
     choose("budget", budget, BUDGETS)
-    chosen, shorter, set_aside = _sorted_out(study, budget)
+    chosen, others, set_aside = _sorted_out(study, budget)
     plans = [config for config in study_configs(study, budget) if not _is_copy(config)]
     done = {plan.run_id for _, plan in chosen}
     missing = [plan for plan in plans if plan.run_id not in done]
     for plan in missing:
-        if stand_ins := shorter.pop(plan.run_id, []):
-            *others, longest = sorted(stand_ins, key=_n_iterations)
+        if stand_ins := others.pop(plan.run_id, []):
+            *passed_over, longest = sorted(stand_ins, key=_n_iterations)
             chosen.append((longest, plan))
-            set_aside += [record.run_id for record in others]
-    set_aside += [record.run_id for records in shorter.values() for record in records]
+            set_aside += [record.run_id for record in passed_over]
+    set_aside += [record.run_id for records in others.values() for record in records]
     rows = [_row(record, plan) for record, plan in chosen]
-    frame = pd.DataFrame(rows, columns=COLUMNS).astype({"shorter": bool})
+    frame = pd.DataFrame(rows, columns=COLUMNS).astype({"stand_in": bool})
     frame = _with_scores(frame.sort_values(KEYS, key=_order).reset_index(drop=True))
     frame.attrs = {"study": study, "budget": budget, "missing": [_keys(plan) for plan in missing]}
     frame.attrs["set_aside"] = set_aside
@@ -77,10 +77,10 @@ def _sorted_out(
     """Sort a study's records by the plan.
 
     Returns:
-        The planned runs with their plans; shorter ones by the planned run's id; and the ids of the
-        runs that are neither.
+        The planned runs with their plans; those of another number of iterations by the planned
+        run's id; and the ids of the runs that are neither.
     """
-    exact, shorter, set_aside = [], dict[str, list[RunRecord]](), []
+    exact, others, set_aside = [], dict[str, list[RunRecord]](), []
     for record in _records(study, budget):
         config = record.run_config()
         plan = _plan(config, study, budget)
@@ -89,8 +89,8 @@ def _sorted_out(
         elif plan.run_id == record.run_id:
             exact.append((record, plan))
         else:
-            shorter.setdefault(plan.run_id, []).append(record)
-    return exact, shorter, set_aside
+            others.setdefault(plan.run_id, []).append(record)
+    return exact, others, set_aside
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
@@ -121,18 +121,15 @@ def _is_copy(config: RunConfig) -> bool:
 
 
 def _plan(config: RunConfig, study: str, budget: str) -> RunConfig | None:
-    """Return the planned run that a run is, or is a shorter one of; None where there is none."""
+    """Return the planned run that a run is, whatever its number of iterations; None for others."""
     if _is_copy(config) or (BUDGETS[budget].is_evidence and config.seed not in TRIAL_SEEDS):
         return None
     for cell in cells(study):
         if (cell.method, cell.body) == (config.method, config.body):
             plan = cell.config(budget, config.seed)
-            n_iterations = config.budget.n_iterations
-            if n_iterations < plan.budget.n_iterations:
-                shortened = plan.budget.with_iterations(n_iterations)
-                if dataclasses.replace(plan, budget=shortened).run_id == config.run_id:
-                    return plan
-            elif plan.run_id == config.run_id:
+            resized = plan.budget.with_iterations(config.budget.n_iterations)
+            other = dataclasses.replace(plan, budget=resized)
+            if config.run_id in (plan.run_id, other.run_id):
                 return plan
     return None
 
@@ -153,7 +150,7 @@ def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
         "n_eval_episodes": evaluation["n_episodes"],
         "n_iterations": _n_iterations(record),
         "planned_iterations": plan.budget.n_iterations,
-        "shorter": record.run_id != plan.run_id,
+        "stand_in": record.run_id != plan.run_id,
         "n_steps": training["n_steps"],
         "steps_per_s": training["steps_per_s"],
         "wall_time_s": record.wall_time_s,
@@ -176,7 +173,7 @@ def _keys(config: RunConfig) -> dict[str, Any]:
 
 
 def _with_scores(frame: pd.DataFrame) -> pd.DataFrame:
-    experts = frame[(frame["method"] == "ppo") & ~frame["shorter"]]
+    experts = frame[(frame["method"] == "ppo") & ~frame["stand_in"]]
     level = experts.groupby("body")["return_mean"].mean()
     expert_return = frame["body"].map(level).astype(float)
     normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)

@@ -123,7 +123,7 @@ def play_first_trials(
         if record is None or POLICY not in record.files:
             _note(f"No policy of {label} on {body} has been published at this budget yet.")
             continue
-        if first["shorter"].iloc[0]:
+        if first["stand_in"].iloc[0]:
             label += f", {first['n_iterations'].iloc[0]:,} iterations"
         if why := why_no_pictures(body):
             _note(f"No video of {label} on {body}: {why}")

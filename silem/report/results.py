@@ -24,7 +24,7 @@ from silem.study.studies import cells
 __all__ = [
     "COLUMNS", "KEYS", "body_names", "cell", "context", "describe", "find", "is_evidence",
     "is_planned", "load_curve", "load_records", "load_transform", "missing_runs", "original_body",
-    "planned_methods", "scores", "select", "shorter", "upright_label",
+    "planned_methods", "scores", "select", "stand_ins", "upright_label",
 ]  # fmt: skip
 
 
@@ -37,7 +37,7 @@ def context(frame: pd.DataFrame) -> tuple[str, str]:
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
     for body, group in frame.groupby("body"):
-        full = (group["method"] != "random") & ~group["shorter"]
+        full = (group["method"] != "random") & ~group["stand_in"]
         counts = group.loc[full, "n_iterations"].unique()
         if len(counts) > 1:
             raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
@@ -49,7 +49,7 @@ def select(
     methods: Sequence[str],
     names: Sequence[str] | None = None,
     *,
-    with_shorter: bool = True,
+    with_stand_ins: bool = True,
 ) -> pd.DataFrame:
     """Keep some methods' runs, and some bodies'; the missing runs are narrowed alike.
 
@@ -57,7 +57,7 @@ def select(
         frame: Runs of one study at one budget.
         methods: The methods to keep.
         names: The bodies to keep, in the order in which figures show them; None keeps all.
-        with_shorter: Keep the runs of fewer iterations than planned.
+        with_stand_ins: Keep the runs of another number of iterations than planned.
     """
     context(frame)
 
@@ -65,7 +65,7 @@ def select(
         return method in methods and (names is None or body in names)
 
     kept = [
-        keeps(row.method, row.body) and (with_shorter or not row.shorter)
+        keeps(row.method, row.body) and (with_stand_ins or not row.stand_in)
         for row in frame.itertuples()
     ]
     missing = [run for run in frame.attrs["missing"] if keeps(run["method"], run["body"])]
@@ -114,13 +114,13 @@ def planned_methods(frame: pd.DataFrame, methods: Sequence[str]) -> list[str]:
 
 
 def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell: a method on a body, one row per trial, no shorter runs."""
-    return frame[(frame["method"] == method) & (frame["body"] == body) & ~frame["shorter"]]
+    """Return the rows of one cell: a method on a body, one row per trial, no stand-ins."""
+    return frame[(frame["method"] == method) & (frame["body"] == body) & ~frame["stand_in"]]
 
 
-def shorter(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return one cell's runs of fewer iterations than planned, which stand in for missing ones."""
-    return frame[(frame["method"] == method) & (frame["body"] == body) & frame["shorter"]]
+def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
+    """Return one cell's runs of another number of iterations, in place of missing ones."""
+    return frame[(frame["method"] == method) & (frame["body"] == body) & frame["stand_in"]]
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -164,7 +164,7 @@ def find(run_id: str) -> RunRecord:
 def describe(frame: pd.DataFrame) -> str:
     """Say in one line what a table holds: budget, iterations, runs, missing runs."""
     _, budget = context(frame)
-    trained = frame[(frame["method"] != "random") & ~frame["shorter"]]
+    trained = frame[(frame["method"] != "random") & ~frame["stand_in"]]
     by_body = trained.groupby("body")["n_iterations"].first()
     parts = [f"budget {budget}"]
     if by_body.nunique() == 1:
@@ -173,8 +173,8 @@ def describe(frame: pd.DataFrame) -> str:
         listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
         parts[0] += f" (iterations: {listing})"
     parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
-    if n_shorter := int(frame["shorter"].sum()):
-        parts.append(f"{n_shorter} of them shorter than planned")
+    if n_others := int(frame["stand_in"].sum()):
+        parts.append(f"{n_others} of them of another length than planned")
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)

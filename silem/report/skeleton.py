@@ -81,19 +81,18 @@ def _draw(axes: Axes, points: np.ndarray, alpha: float) -> None:
     """Draw one pose (P, 2): the left side, which is the far one, behind the right one."""
     bones = [pair for chain in _CHAINS for pair in itertools.pairwise(chain)]
     sides = [end.partition("_")[0] for _, end in bones]
-    for side, color in {
-        "left": _COLORS["left"],
-        "head": style.INK,
-        "right": _COLORS["right"],
-    }.items():
+    for side in ("left", "head", "right"):
         segments = [
             points[[POINTS.index(end) for end in bone]]
             for bone, of_side in zip(bones, sides, strict=True)
             if of_side == side
         ]
         axes.add_collection(
-            LineCollection(segments, colors=color, linewidths=2.6, alpha=alpha, capstyle="round")
-        )
+            LineCollection(
+                segments, colors=_COLORS.get(side, style.INK), linewidths=2.6, alpha=alpha,
+                capstyle="round",
+            )
+        )  # fmt: skip
     axes.plot(*points[POINTS.index("head")], "o", ms=8, color=style.INK, mec="none", alpha=alpha)
 
 

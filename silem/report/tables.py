@@ -105,7 +105,7 @@ def paper_table(key: str) -> Styler:
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and wall time.
 
-    Runs of fewer iterations than planned stand in rows of their own.
+    Runs of another number of iterations than planned stand in rows of their own.
 
     Args:
         frame: Runs of one study at one budget.
@@ -117,9 +117,9 @@ def cell_table(frame: pd.DataFrame) -> Styler:
                 continue
             label = style.method(method, results.original_body(frame)).label
             rows.append(_cell_row(frame, body, label, results.cell(frame, method, body)))
-            for n, runs in results.shorter(frame, method, body).groupby("n_iterations"):
+            for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
                 planned = runs["planned_iterations"].iloc[0]
-                words = f"{label}, shorter: {n:,} of {planned:,} iterations"
+                words = f"{label}, {n:,} iterations (planned: {planned:,})"
                 rows.append(_cell_row(frame, body, words, runs))
     return styled(pd.DataFrame(rows))
 
@@ -148,7 +148,7 @@ def run_table(frame: pd.DataFrame) -> Styler:
     upright = results.upright_label(frame).removeprefix("share of ")
     rows = []
     for run in frame.to_dict("records"):
-        planned = f" of {run['planned_iterations']:,}" if run["shorter"] else ""
+        planned = f" (planned: {run['planned_iterations']:,})" if run["stand_in"] else ""
         rows.append(
             {
                 "run": _code(run["run_id"]),

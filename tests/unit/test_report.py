@@ -13,11 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import synthetic_records as synthetic
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.text import Text
+from drawn import assert_readable, boxes, footer, lines_at, texts
 
 from silem import paper
 from silem.config import RunConfig
@@ -34,7 +30,9 @@ from silem.report import (
     tables,
 )
 
-FIGURES = [name for name in figures.__all__ if name != "runs_of"]
+FIGURES = [
+    "affine_or_mlp", "experts", "gaits", "learning_curves", "normalised_scores", "transforms",
+]  # fmt: skip
 CASES = ("whole", "partial", "single", "bad expert", "empty", "tiny")
 
 
@@ -80,35 +78,6 @@ def study(case: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("frame", [case], indirect=True)
 
 
-def texts(figure: Figure) -> list[str]:
-    return [t.get_text() for t in figure.findobj(Text) if t.get_visible() and t.get_text()]
-
-
-def footer(figure: Figure) -> str:
-    """The small print, its line breaks taken out."""
-    return figure.get_supxlabel().replace("\n", " ")
-
-
-def boxes(figure: Figure) -> list[tuple[str, mpl.transforms.Bbox]]:
-    """Every text as it is printed, with the pixels it covers."""
-    canvas = FigureCanvasAgg(figure)
-    with style.applied():
-        canvas.draw()
-    axes_axis = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
-    ticks = [tick for axis in axes_axis for tick in axis.get_major_ticks()]
-    of_ticks = {id(text) for tick in ticks for text in tick.findobj(Text)}
-    # matplotlib keeps labels for ticks just outside the axis, which it does not print.
-    printed = [
-        tick.label1
-        for axis in axes_axis
-        for tick in axis.get_major_ticks()
-        if min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
-    ]
-    printed += [text for text in figure.findobj(Text) if id(text) not in of_ticks]
-    shown = [text for text in printed if text.get_visible() and text.get_text().strip()]
-    return [(text.get_text(), text.get_window_extent(canvas.get_renderer())) for text in shown]
-
-
 # ---------------------------------------------------------------- figures
 
 
@@ -121,17 +90,7 @@ def boxes(figure: Figure) -> list[tuple[str, mpl.transforms.Bbox]]:
     indirect=["frame"],
 )
 def test_texts_neither_overlap_nor_leave_the_figure(name: str, frame: pd.DataFrame) -> None:
-    figure = getattr(figures, name)(frame)
-    page = figure.bbox.padded(1)
-    printed = boxes(figure)
-    assert len(printed) > 5
-    for text, box in printed:
-        inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
-        assert inside, f"{text!r} leaves the figure"
-    for (one, a), (two, b) in itertools.combinations(printed, 2):
-        width = min(a.x1, b.x1) - max(a.x0, b.x0)
-        height = min(a.y1, b.y1) - max(a.y0, b.y0)
-        assert width < 1 or height < 1, f"{one!r} overlaps {two!r}"
+    assert_readable(getattr(figures, name)(frame))
 
 
 def test_the_overlap_check_sees_overlaps() -> None:
@@ -171,10 +130,6 @@ def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> N
 @pytest.mark.parametrize("name", FIGURES)
 def test_figures_of_toy_budgets_warn(name: str, frame: pd.DataFrame) -> None:
     assert footer(getattr(figures, name)(frame)).startswith("not evidence: budget tiny")
-
-
-def lines_at(axes: Axes, color: str) -> list[Line2D]:
-    return [line for line in axes.lines if line.get_color() == color]
 
 
 def test_figure_2b_draws_minimum_mean_maximum_and_every_trial(frame: pd.DataFrame) -> None:
@@ -492,7 +447,8 @@ def test_expert_level_counts_the_experts_own_spread(frame: pd.DataFrame) -> None
 
 def test_scorecard_table_shows_every_claim_with_its_rule(frame: pd.DataFrame) -> None:
     page = scorecard.table(frame).to_html()
-    for claim in claims.CLAIMS:
+    judged = claims.of("halfcheetah")
+    for claim in judged:
         assert claim.text in page and claim.rule in page
-    assert sum(scorecard.counts(frame).values()) == len(claims.CLAIMS)
+    assert sum(scorecard.counts(frame).values()) == len(judged)
     assert page.count("background-color") >= 2

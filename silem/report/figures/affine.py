@@ -67,7 +67,8 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
 
     A thin line is a policy, a thick one their mean; lines join the features of one group. Thick
     gridlines stand under the features of the arms, which HumanoidR's asymmetry touches. x is
-    forward, y left and z up. A run of fewer iterations than planned is dashed and enters no mean.
+    forward, y left and z up. A run of another number of iterations than planned
+    is dashed and enters no mean.
 
     Args:
         frame: Runs of the study of the humanoids at one budget.
@@ -91,12 +92,12 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
         for index, body in enumerate(names):
             color = style.MUTED if index == 0 else style.body_color(1, 2)
             policies = _policies(frame, body).best(n_best)
-            short = _policies(frame, body, shorter=True)
+            others = _policies(frame, body, stand_ins=True)
             for values in policies.values(key):
                 _draw_line(
                     axes, groups, places, values, color=color, lw=0.8, alpha=0.55, marker=".", ms=3
                 )
-            for values in short.values(key):
+            for values in others.values(key):
                 _draw_line(
                     axes,
                     groups,
@@ -112,7 +113,7 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
                 mean = policies.values(key).mean(axis=0)
                 mark = {"marker": _BODY_MARKERS[index], "ms": 5, "mec": "white", "mew": 0.6}
                 _draw_line(axes, groups, places, mean, color=color, lw=2.4, **mark)
-            handles.append(_line_handle(body, index, color, policies, short))
+            handles.append(_line_handle(body, index, color, policies, others))
         axes.update_datalim([(0, neutral - 0.1), (0, neutral + 0.1)])  # shown at least
         axes.autoscale_view(scalex=False)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
@@ -144,8 +145,8 @@ class _Policies:
         return np.array(loaded).reshape(-1, n_features)
 
 
-def _policies(frame: pd.DataFrame, body: str, *, shorter: bool = False) -> _Policies:
-    rows = (results.shorter if shorter else results.cell)(frame, "silem", body)
+def _policies(frame: pd.DataFrame, body: str, *, stand_ins: bool = False) -> _Policies:
+    rows = (results.stand_ins if stand_ins else results.cell)(frame, "silem", body)
     return _Policies(body, rows)
 
 
@@ -223,13 +224,13 @@ def _body_handle(body: str, index: int, count: int, n_trials: int) -> Line2D:
 
 
 def _line_handle(
-    body: str, index: int, color: str, policies: _Policies, short: _Policies
+    body: str, index: int, color: str, policies: _Policies, others: _Policies
 ) -> Line2D:
-    """Return a body's legend entry: its policies, and its shorter runs with their iterations."""
+    """Return a body's legend entry: its policies, and the iterations of its stand-ins."""
     count = len(policies.rows)
     words = {0: "no run", 1: "one policy"}.get(count, f"{count} policies")
-    for row in short.rows.itertuples():
-        words += f"; dashed: {row.n_iterations:,} of {row.planned_iterations:,} iterations"
+    for row in others.rows.itertuples():
+        words += f"; dashed: {row.n_iterations:,} iterations"
     return Line2D(
         [], [], color=color, lw=2.4, marker=_BODY_MARKERS[index], label=f"{body}, {words}"
     )

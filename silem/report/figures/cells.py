@@ -36,11 +36,11 @@ def draw_cells(
         methods: The methods, left to right.
         column: The column of the table to draw.
         draw: Draws one cell that has values; a cell without becomes an empty slot with the reason.
-            Runs that are shorter than planned are crosses in either case.
+            Runs of another number of iterations than planned are crosses in either case.
     """
     for x, method, body in places(frame, methods):
         values = results.scores(frame, method, body, column)
-        crosses = results.shorter(frame, method, body)[column].dropna()
+        crosses = results.stand_ins(frame, method, body)[column].dropna()
         if len(values):
             draw(axes, x, values, method, body)
         elif crosses.empty:
@@ -85,7 +85,7 @@ def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow
 
 
 def _draw_crosses(axes: Axes, x: float, values: pd.Series, look: style.MethodStyle) -> None:
-    """Draw runs of fewer iterations than planned, as crosses in the method's colour."""
+    """Draw runs of another number of iterations than planned, as crosses in the method's colour."""
     axes.plot(np.full(len(values), x), values, "x", ms=6.5, mew=1.8, color=look.color, zorder=5)
 
 
@@ -109,15 +109,15 @@ def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
 
 
 def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
-    """Write under each cell its number of trials, and the iterations of shorter runs.
+    """Write under each cell its number of trials, and the iterations of its stand-ins.
 
     Five methods or more leave no room for "n=". Leave room below with `room_for_counts`.
     """
     for x, method, body in places(frame, methods):
         count = len(results.scores(frame, method, body, column))
-        short = results.shorter(frame, method, body)["n_iterations"].unique()
+        others = results.stand_ins(frame, method, body)["n_iterations"].unique()
         lines = [f"n={count}" if len(methods) < 5 else f"{count}"] if count else []
-        lines += ["× " + ", ".join(f"{n:,}" for n in sorted(short))] if len(short) else []
+        lines += ["× " + ", ".join(f"{n:,}" for n in sorted(others))] if len(others) else []
         if lines:
             axes.text(
                 x, 0.025, "\n".join(lines), transform=axes.get_xaxis_transform(), ha="center",
@@ -154,8 +154,8 @@ def handles(looks: Sequence[style.MethodStyle]) -> list[Line2D]:
 
 
 def cross_handle() -> Line2D:
-    """Return the legend entry for runs that are shorter than planned."""
-    return Line2D([], [], ls="none", marker="x", color=style.MUTED, mew=1.8, label="shorter run")
+    """Return the legend entry for runs of another number of iterations than planned."""
+    return Line2D([], [], ls="none", marker="x", color=style.MUTED, mew=1.8, label="other length")
 
 
 def _reason(frame: pd.DataFrame, method: str, body: str) -> str:

@@ -30,8 +30,8 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     Above as in the paper: minimum, mean and maximum over trials of the walking reward, not
     normalised, at most 1000. Below what that number hides: how much of an episode passes before
     the body falls, and how fast it moves. Dashed levels are PPO on the true reward. A single trial
-    is hollow, a cell without runs is an empty slot, and a run of fewer iterations than planned is
-    a cross, with its iterations under its cell; crosses enter no mean.
+    is hollow, a cell without runs is an empty slot, and a run of another number of iterations than
+    planned is a cross, with that number under its cell; crosses enter no mean.
 
     Args:
         frame: Runs of the study of the humanoids at one budget.
@@ -60,8 +60,10 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
         cells.trial_counts(score, frame, COMPARED, "return_mean")
         figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
         note = "hollow: one trial, so no range"
-        if frame["shorter"].any():
-            note += "; ×: a run of fewer iterations, which stand below it, outside every mean"
+        if frame["stand_in"].any():
+            note += (
+                "; ×: a run of another number of iterations, written below it; outside every mean"
+            )
         sources.footer(figure, frame, note)
     return figure
 
@@ -78,7 +80,7 @@ def _handles(frame: pd.DataFrame) -> list[Line2D]:
     ]
     marks = cells.handles([style.method(method, original) for method in COMPARED])
     levels = [Line2D([], [], **line) for line in lines]
-    levels += [cells.cross_handle()] if frame["shorter"].any() else []
+    levels += [cells.cross_handle()] if frame["stand_in"].any() else []
     # a legend fills its columns first
     pairs = zip_longest(marks, levels)
     return [handle for handle in chain.from_iterable(pairs) if handle is not None]

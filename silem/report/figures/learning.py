@@ -31,7 +31,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
     running mean over 9 of the curve's at most 200 points. Trials are drawn up to where the
-    shortest ends; runs of fewer iterations than planned are dashed lines of their own. Where all
+    shortest ends; runs of another number of iterations than planned are dashed. Where all
     runs are experts' there is no row for the discriminator. Humanoids' episodes end with a fall,
     and a row shows when.
 
@@ -50,17 +50,17 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
         )  # fmt: skip
         for column, body in enumerate(names):
             curves = {m: _curves(results.cell(frame, m, body)) for m in drawn}
-            shorter = {m: _curves(results.shorter(frame, m, body)) for m in drawn}
+            others = {m: _curves(results.stand_ins(frame, m, body)) for m in drawn}
             grid[0, column].set_title(body)
             for row, quantity in enumerate(quantities):
-                _draw_curves(grid[row, column], curves, shorter, quantity)
+                _draw_curves(grid[row, column], curves, others, quantity)
             grid[-1, column].set_xlabel("million timesteps")
         for row, label in enumerate(quantities.values()):
             grid[row, 0].set_ylabel(label)
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
         handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
-        if frame["shorter"].any():
-            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label="shorter run"))
+        if frame["stand_in"].any():
+            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label="other length"))
         if handles:
             figure.legend(handles=handles, loc="outside upper left", ncols=3)
         _hide_made_up_ticks(grid)
@@ -87,7 +87,7 @@ def _curves(rows: pd.DataFrame) -> list[pd.DataFrame]:
 def _draw_curves(
     axes: Axes,
     curves: dict[str, list[pd.DataFrame]],
-    shorter: dict[str, list[pd.DataFrame]],
+    others: dict[str, list[pd.DataFrame]],
     quantity: str,
 ) -> None:
     """Draw one quantity of one body: mean and range over trials of every method."""
@@ -95,7 +95,7 @@ def _draw_curves(
     axes.xaxis.set_major_locator(MaxNLocator(4))
     for method, trials in curves.items():
         look = style.method(method)
-        for curve in shorter[method]:
+        for curve in others[method]:
             x, values = _on_one_grid([curve], quantity)
             if len(values):
                 axes.plot(x / 1e6, values[0], color=look.color, lw=1.2, ls=_DASHES)
@@ -107,7 +107,7 @@ def _draw_curves(
             span = values.min(axis=0), values.max(axis=0)
             axes.fill_between(x / 1e6, *span, color=look.color, alpha=0.16, lw=0)
     if not axes.lines:
-        runs = [*curves.values(), *shorter.values()]
+        runs = [*curves.values(), *others.values()]
         word = "not recorded" if any(runs) else "no run"
         middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
         axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
@@ -145,6 +145,6 @@ def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray,
 
 
 def _counts(frame: pd.DataFrame) -> str:
-    counts = frame[~frame["shorter"]].groupby(["method", "body"]).size()
+    counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
     low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
     return str(low) if low == high else f"{low} to {high}"

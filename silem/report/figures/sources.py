@@ -29,8 +29,8 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "affine_transforms": (("silem",), ("Humanoid", "HumanoidR")),
 }
 
-# The figures that mark runs which are shorter than planned; the others leave them out.
-_WITH_SHORTER = ("learning_curves", "humanoid_scores", "affine_transforms")
+# The figures that mark runs of another number of iterations; the others leave them out.
+_WITH_STAND_INS = ("learning_curves", "humanoid_scores", "affine_transforms")
 
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
@@ -51,7 +51,7 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
             f"{figure} shows {', '.join(names)}; the runs of study {study!r} are of"
             f" {', '.join(sorted(known))}"
         )
-    return results.select(frame, methods, names, with_shorter=figure in _WITH_SHORTER)
+    return results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
 
 
 def imitators(frame: pd.DataFrame) -> list[str]:

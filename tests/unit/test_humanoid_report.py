@@ -1,0 +1,382 @@
+"""Figures, tables and verdicts of the humanoids, drawn from made-up records."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import synthetic_records as synthetic
+from drawn import assert_readable, footer, lines_at, texts
+from matplotlib.figure import Figure
+
+from silem.config import RunConfig
+from silem.errors import SilemError
+from silem.report import claims, figures, results, scorecard, style, tables
+from silem.report.features import feature_groups, feature_names
+from silem.skeleton.features import FEATURES
+from silem.study import studies as plans
+from silem.study.record import RunRecord
+
+PLANNED = RunConfig.create("Atlas", "ppo", budget="book").budget.n_iterations
+HALF, MOST = PLANNED // 2, PLANNED * 3 // 4
+CASES = ("whole", "partial", "single", "empty")
+FIGURES = {
+    "humanoid_scores": {},
+    "A": {"which": "scale"},
+    "b": {"which": "offset"},
+    "experts": {},
+    "gaits": {},
+    "learning_curves": {},
+    "normalised_scores": {},
+    "transforms": {},
+}
+
+
+def draw(name: str, frame: pd.DataFrame) -> Figure:
+    function = "affine_transforms" if name in ("A", "b") else name
+    return getattr(figures, function)(frame, **FIGURES[name])
+
+
+def planned(method: str, body: str, seed: int = 0) -> RunConfig:
+    """Return a run that the study of the humanoids plans."""
+    (cell,) = [c for c in plans.cells("humanoids") if (c.method, c.body) == (method, body)]
+    return cell.config("book", seed)
+
+
+def write_other(
+    method: str, body: str, n_iterations: int, return_mean: float, seed: int = 0
+) -> RunRecord:
+    """Write a run that differs from the planned one in its number of iterations alone."""
+    plan = planned(method, body, seed)
+    budget = plan.budget.with_iterations(n_iterations)
+    return synthetic.write_record(dataclasses.replace(plan, budget=budget), return_mean)
+
+
+def make(case: str, folder: Path) -> pd.DataFrame:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SILEM_DATA_DIR", str(folder))
+        if case == "whole":
+            synthetic.write_study(n_trials=3, study="humanoids")
+        elif case == "single":
+            synthetic.write_study(n_trials=1, study="humanoids")
+        elif case == "partial":
+            few = {("silem", "HumanoidR"): 0, ("tpil", "Atlas"): 0, ("peng20", "Humanoid"): 1}
+            few |= {("ppo", "Atlas"): 0, ("silem-minus", "HumanoidR"): 0}
+            synthetic.write_study(n_trials=3, study="humanoids", without=few)
+            write_other("silem", "HumanoidR", MOST, 430.0)
+            write_other("tpil", "Atlas", HALF, 200.0)
+            write_other("peng20", "Humanoid", HALF, 500.0, seed=1)
+        return results.load_records("humanoids", "book")
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[pd.DataFrame, Path]]:
+    folders = {case: tmp_path_factory.mktemp("study") for case in CASES}
+    return {case: (make(case, folder), folder) for case, folder in folders.items()}
+
+
+@pytest.fixture
+def frame(
+    request: pytest.FixtureRequest,
+    studies: dict[str, tuple[pd.DataFrame, Path]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[pd.DataFrame]:
+    """The study named by the test's parameter, or the whole one."""
+    table, folder = studies[getattr(request, "param", "whole")]
+    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
+    yield table
+
+
+def study(case: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("frame", [case], indirect=True)
+
+
+# ---------------------------------------------------------------- figures
+
+
+@pytest.mark.parametrize(
+    ("frame", "name"),
+    [*itertools.product(("partial", "empty"), FIGURES), ("single", "A"), ("whole", "A")],
+    indirect=["frame"],
+)
+def test_every_figure_takes_humanoids_and_stays_readable(name: str, frame: pd.DataFrame) -> None:
+    assert_readable(draw(name, frame))
+
+
+def test_figure_3b_shows_true_returns_between_ppo_and_the_highest(frame: pd.DataFrame) -> None:
+    score = figures.humanoid_scores(frame).axes[0]
+    marks = [line.get_ydata() for line in lines_at(score, style.METHODS["tpil"].color)]
+    mean = results.scores(frame, "tpil", "Atlas", "return_mean").mean()
+    assert any(len(y) == 1 and y[0] == mean for y in marks)
+    assert lines_at(score, style.PAPER)[0].get_ydata()[0] == 1000
+    dashes = [line for line in lines_at(score, style.MUTED) if len(line.get_xdata()) == 2]
+    levels = [line.get_ydata()[0] for line in dashes]
+    names = ("Atlas", "Humanoid", "HumanoidR")  # the paper's order
+    assert levels == [results.scores(frame, "ppo", name, "return_mean").mean() for name in names]
+    assert [label.get_text().partition("\n")[0] for label in score.get_xticklabels()] == list(names)
+
+
+def test_figure_3b_shows_what_the_score_hides(frame: pd.DataFrame) -> None:
+    _, survived, speed = figures.humanoid_scores(frame).axes
+    for axes, column in ((survived, "upright"), (speed, "speed_m_s")):
+        blue = [line.get_ydata() for line in lines_at(axes, style.METHODS["silem"].color)]
+        mean = results.scores(frame, "silem", "HumanoidR", column).mean()
+        assert any(len(y) == 1 and y[0] == mean for y in blue)
+    assert lines_at(speed, style.INK)[0].get_ydata()[0] == 1.6
+
+
+@study("single")
+def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
+    score = figures.humanoid_scores(frame).axes[0]
+    marks = [line for line in score.lines if line.get_marker() == style.METHODS["silem"].marker]
+    assert [mark.get_markerfacecolor() for mark in marks] == ["white"] * 3
+    assert texts(score.figure).count("n=1") == 12
+
+
+@study("partial")
+def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
+    frame: pd.DataFrame,
+) -> None:
+    figure = figures.humanoid_scores(frame)
+    crosses = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
+    shown = sorted(float(y) for line in crosses for y in line.get_ydata())
+    assert shown == sorted(frame.loc[frame["stand_in"], "return_mean"])
+    assert len(results.scores(frame, "peng20", "Humanoid", "return_mean")) == 1
+    words = texts(figure)
+    assert {f"× {MOST:,}", f"× {HALF:,}", f"n=1\n× {HALF:,}"} <= set(words)
+    assert "3 of them of another length" in footer(figure)
+    assert "another number of iterations" in footer(figure)
+
+
+@study("partial")
+def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
+    figure = figures.learning_curves(frame)
+    by_title = {axes.get_title(loc="left"): axes for axes in figure.axes[:3]}
+    (silem,) = lines_at(by_title["HumanoidR"], style.METHODS["silem"].color)
+    assert silem.get_linestyle() == "--"
+    (whole,) = lines_at(by_title["Humanoid"], style.METHODS["silem"].color)
+    assert whole.get_linestyle() == "-"
+    assert silem.get_xdata()[-1] == pytest.approx(0.75 * whole.get_xdata()[-1], rel=0.01)
+    assert "steps before a fall" in texts(figure)
+
+
+def test_affine_transforms_mean_and_policies_by_feature(frame: pd.DataFrame) -> None:
+    axes = figures.affine_transforms(frame, "scale").axes[0]
+    runs = results.cell(frame, "silem", "HumanoidR")["run_id"]
+    entries = np.stack([results.load_transform(run)["A"] for run in runs])
+    drawn = lines_at(axes, style.body_color(1, 2))
+    thick = [line.get_ydata() for line in drawn if line.get_linewidth() > 2]
+    assert any(np.array_equal(y, entries.mean(axis=0)[:3]) for y in thick)  # the left hand
+    thin = [line.get_ydata() for line in drawn if line.get_linewidth() < 1]
+    assert all(any(np.array_equal(y, row[3:6]) for y in thin) for row in entries)
+    labels = [tick.get_text() for tick in axes.get_xticklabels()]
+    assert len(labels) == 23 and labels[:3] == ["x", "y", "z"]
+    assert {"left hand\n(m)", "elbow\n(rad)", "velocity\n(m/s)"} <= set(texts(axes.figure))
+    wide = [line for line in axes.lines if line.get_linewidth() == 3]
+    assert len(wide) == 8  # hands and elbows
+
+
+def test_affine_transforms_shows_the_best_ten(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("silem.paper.number", lambda name: 1)
+    axes = figures.affine_transforms(frame, "offset").axes[0]
+    cell = results.cell(frame, "silem", "Humanoid")
+    best = cell.loc[cell["return_mean"].idxmax(), "run_id"]
+    thin = [line for line in lines_at(axes, style.MUTED) if line.get_linewidth() == 0.8]
+    offsets = results.load_transform(best)["b"]
+    assert len(thin) == len(feature_groups("Humanoid"))
+    assert np.array_equal(thin[0].get_ydata(), offsets[:3])
+
+
+@study("partial")
+def test_a_run_of_another_length_is_dashed_in_the_affine_transforms(frame: pd.DataFrame) -> None:
+    figure = figures.affine_transforms(frame, "scale")
+    drawn = lines_at(figure.axes[0], style.body_color(1, 2))
+    assert drawn and {line.get_linestyle() for line in drawn} == {"--"}
+    (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
+    assert label == f"HumanoidR, no run; dashed: {MOST:,} iterations"
+
+
+def test_figures_of_other_bodies_are_refused(
+    frame: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SilemError, match="affine_or_mlp shows HC0; the runs of study 'humanoids'"):
+        figures.affine_or_mlp(frame)
+    with pytest.raises(SilemError, match="allowed: scale, offset"):
+        figures.affine_transforms(frame, "a")
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    with pytest.raises(SilemError, match="humanoid_scores shows Atlas"):
+        figures.humanoid_scores(results.load_records("halfcheetah", "book"))
+
+
+def test_transforms_of_another_length_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    monkeypatch.setitem(synthetic.N_FEATURES, "humanoid", 30)
+    monkeypatch.setattr(synthetic, "FEATURES", (*FEATURES, *FEATURES[:7]))
+    synthetic.write_record(planned("silem", "Humanoid"))
+    loaded = results.load_records("humanoids", "book")
+    with pytest.raises(SilemError, match="23 features"):
+        figures.affine_transforms(loaded, "scale")
+    with pytest.raises(SilemError, match="23 features"):
+        figures.transforms(loaded)
+
+
+def test_no_expert_is_named_where_a_human_demonstrates(frame: pd.DataFrame) -> None:
+    words = texts(figures.gaits(frame))
+    assert {"SILEM⁻", "TPIL", "Peng20", "PPO, true reward"} <= set(words)
+    assert "Share of steps survived" in words
+    assert not [word for word in words if "expert" in word]
+
+
+@pytest.mark.parametrize("body", ["HC0", "Ant0", "Humanoid", "Atlas"])
+def test_groups_hold_every_feature_once(body: str) -> None:
+    columns = [column for group in feature_groups(body) for column in group.columns]
+    assert sorted(columns) == list(range(len(feature_names(body))))
+
+
+def test_humanoid_features_are_named_with_their_units() -> None:
+    for group in feature_groups("HumanoidR"):
+        for column, label in zip(group.columns, group.labels, strict=True):
+            assert FEATURES[column].unit == group.unit
+            assert sorted(FEATURES[column].label.split()) == sorted(f"{group.name} {label}".split())
+
+
+# ---------------------------------------------------------------- tables
+
+
+@study("partial")
+def test_tables_tell_runs_of_other_lengths_apart(frame: pd.DataFrame) -> None:
+    cells = tables.cell_table(frame).data
+    assert len(cells) == 18 + 3
+    (row,) = cells[cells["method"].str.startswith("SILEM, ")].itertuples()
+    assert row.method == f"SILEM, {MOST:,} iterations (planned: {PLANNED:,})"
+    whole = cells[(cells["method"] == "SILEM") & (cells["body"] == "HumanoidR")]
+    assert whole["trials"].item() == 0
+    runs = tables.run_table(frame).data
+    assert len(runs) == len(frame)
+    shown = runs.loc[runs["iterations"].str.contains("planned"), "iterations"]
+    assert sorted(shown) == sorted(f"{n:,} (planned: {PLANNED:,})" for n in (HALF, HALF, MOST))
+
+
+def test_body_table_holds_humanoids() -> None:
+    table = tables.body_table(["HC0", "Atlas"]).data.set_index("body")
+    assert table.loc["Atlas", "features"] == 23
+    assert table.loc["Atlas", "motors (N m)"].startswith("28 of ")
+    assert float(table.loc["Atlas", "mass (kg)"]) == pytest.approx(182.4, abs=0.1)
+
+
+# ---------------------------------------------------------------- verdicts
+
+
+def verdicts(frame: pd.DataFrame) -> pd.Series:
+    return scorecard.evaluate(frame).set_index("claim")["verdict"]
+
+
+ARMS = (
+    "The short left arm's hand position is scaled up on HumanoidR: A of x, y, z",
+    "The long right arm's hand position is scaled down on HumanoidR: A of x, y, z",
+    "The left arm of HumanoidR keeps the more obtuse angle: b of its elbow less the right one's"
+    " (rad)",
+)
+
+
+def test_scorecard_judges_figures_3_and_4(frame: pd.DataFrame) -> None:
+    found = verdicts(frame)
+    assert [found[name] for name in ARMS] == [claims.HOLDS] * 3
+    assert found["SILEM far outperforms TPIL on HumanoidR: difference in return"] == claims.HOLDS
+    assert found["SILEM⁻ finds no stable gait on Humanoid: share of steps survived"] == claims.HOLDS
+    assert found["SILEM matches the human's speed on Atlas (m/s)"] == claims.FAILS
+    rows = scorecard.evaluate(frame).set_index("claim")
+    row = rows.loc["TPIL does much better on Atlas than on Humanoid: difference in return"]
+    assert (row["trials"], row["verdict"]) == ("TPIL Atlas 3, TPIL Humanoid 3", claims.HOLDS)
+    assert row["wins"] == 1.0 and "100 % of pairs" in scorecard.table(frame).to_html()
+
+
+def test_arm_claims_fail_where_the_arms_are_the_other_way_round(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = results.load_transform
+
+    def mirrored(run_id: str) -> dict[str, np.ndarray]:
+        return {"A": 2 - load(run_id)["A"], "b": -load(run_id)["b"]}
+
+    monkeypatch.setattr(results, "load_transform", mirrored)
+    assert [verdicts(frame)[name] for name in ARMS] == [claims.FAILS] * 3
+
+
+def test_claims_fail_where_silem_falls_and_a_rival_walks(frame: pd.DataFrame) -> None:
+    other = frame.copy()
+    other.attrs = frame.attrs
+    for method, level in (("silem", 0.1), ("tpil", 0.9)):
+        of_method = other["method"] == method
+        other.loc[of_method, "return_mean"] = 1000 * level + other.loc[of_method, "seed"]
+        other.loc[of_method, "upright"] = level
+    found = verdicts(other)
+    assert found["SILEM far outperforms TPIL on Humanoid: difference in return"] == claims.FAILS
+    assert found["SILEM's gait is stable on Humanoid: share of steps survived"] == claims.FAILS
+
+
+@pytest.mark.parametrize("frame", ["single", "empty"], indirect=True)
+def test_nothing_is_decided_on_one_trial(frame: pd.DataFrame) -> None:
+    assert set(verdicts(frame)) == {claims.UNDECIDED}
+
+
+def test_runs_of_other_lengths_decide_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for method, body, seed in itertools.product(("silem", "tpil"), synthetic.HUMANOIDS, range(3)):
+        write_other(method, body, HALF, 900.0 if method == "silem" else 100.0, seed)
+    loaded = results.load_records("humanoids", "book")
+    assert len(loaded) == 18
+    rows = scorecard.evaluate(loaded)
+    assert set(rows["verdict"]) == {claims.UNDECIDED} and rows["ours"].isna().all()
+
+
+def test_studies_without_claims_are_refused() -> None:
+    with pytest.raises(SilemError, match="allowed: halfcheetah, humanoids"):
+        claims.of("no-gradient-penalty")
+
+
+# ---------------------------------------------------------------- runs of fewer iterations
+
+
+def test_the_longest_run_stands_in_until_the_planned_one_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    plan = planned("ppo", "Atlas")
+    short, longer = (write_other("ppo", "Atlas", n, 600.0) for n in (HALF, MOST))
+    budget = plan.budget.with_iterations(MOST + 1)
+    other = dataclasses.replace(
+        plan, budget=budget, hyper=dataclasses.replace(plan.hyper, n_epochs=3)
+    )
+    synthetic.write_record(other)
+    loaded = results.load_records("humanoids", "book")
+    assert list(loaded["run_id"]) == [longer.run_id] and loaded["stand_in"].all()
+    assert loaded["planned_iterations"].item() == plan.budget.n_iterations
+    assert sorted(loaded.attrs["set_aside"]) == sorted([short.run_id, other.run_id])
+    assert plan.run_id in {run["run_id"] for run in loaded.attrs["missing"]}
+    assert loaded["expert_return"].isna().all()  # no scale from a run cut short
+    assert "1 run, 1 of them of another length" in results.describe(loaded)
+    assert len(results.select(loaded, ["ppo"], with_stand_ins=False)) == 0
+    whole = synthetic.write_record(plan)
+    loaded = results.load_records("humanoids", "book")
+    assert list(loaded["run_id"]) == [whole.run_id] and not loaded["stand_in"].any()
+    assert len(loaded.attrs["set_aside"]) == 3
+
+
+def test_curves_of_any_age_have_every_column(frame: pd.DataFrame) -> None:
+    run_id = results.cell(frame, "ppo", "Atlas")["run_id"].iloc[0]
+    curve = results.load_curve(run_id)
+    assert curve["episode_length"].notna().any() and curve["domain_acc"].isna().all()
+    folder = Path(results.cell(frame, "ppo", "Atlas")["folder"].iloc[0])
+    assert "domain_acc" not in (folder / "curve.csv").read_text()
