@@ -26,6 +26,7 @@ HUMANOID_GRADIENT_PENALTY = 0.1
 standing still earns a third of the reward, and the learner stands (page "How the open settings
 were found")."""
 
+_KNOWN_HUMANOID = "Humanoid"
 _ONLY_HUMANOIDS = ("tpil", "peng20")
 _ONLY_RUNNERS = ("silem-minus-own", "silem-mlp")
 
@@ -68,10 +69,13 @@ def retargeted(demonstrations: str, body: str) -> str:
 
 
 def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[str, Any]:
-    """Return the values of the supplement for one cell: common settings, then the best found."""
-    best = paper.best_combination(body, method, source)
+    """Return the values of the supplement for one cell: common settings, then the best found.
+
+    A humanoid that the paper does not know takes Humanoid's.
+    """
     if family != "humanoid":
-        return best
+        return paper.best_combination(body, method, source)
+    known = body if paper.best_table(body, "silem") else _KNOWN_HUMANOID
     shared = {
         "policy_hidden": tuple(paper.number("humanoid_policy_hidden")),
         "disc_hidden": tuple(paper.number("humanoid_disc_hidden")),
@@ -83,7 +87,7 @@ def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[s
         "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
         "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,
     }
-    return shared | paper.common(family) | best
+    return shared | paper.common(family) | paper.best_combination(known, method, source)
 
 
 def check_ankle(body: str, ankle_range_rad: float) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from silem import paper
+from silem import bodies, paper
 from silem.__main__ import config_of, parser
+from silem.bodies import humanoid, registry
 from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, Budget, HyperParameters, RunConfig
 from silem.errors import SilemError
 
@@ -142,3 +143,55 @@ def test_a_damaged_configuration_is_refused() -> None:
     ):
         with pytest.raises(SilemError):
             RunConfig.from_dict(bad)
+
+
+def test_humanoids_take_the_supplements_settings() -> None:
+    for body in ("Humanoid", "HumanoidR", "Atlas"):
+        for method in ("silem", "silem-minus", "tpil", "peng20"):
+            hyper, common = create(body, method).hyper, paper.common("humanoid")
+            assert hyper.learning_rate == common["learning_rate"] == 1e-4
+            assert (hyper.clip_range, hyper.minibatch_size) == (0.1, 256)
+            assert (hyper.policy_hidden, hyper.disc_hidden) == ((256, 256), (128, 128))
+            best = paper.best_combination(body, method)
+            assert {name: getattr(hyper, name) for name in best} == best
+    atlas = create("Atlas", "silem").hyper
+    assert (atlas.n_transform_updates, atlas.transform_l2_scale, atlas.n_epochs) == (2, 10.0, 8)
+    assert create("HumanoidR", "silem").hyper.transform_l2_scale == 1.0
+    assert create("Humanoid", "tpil").hyper.gradient_reversal_coef == 0.6
+
+
+def test_the_ankles_range_is_atlas_alone() -> None:
+    assert create("Atlas", "peng20").hyper.ankle_range_rad == 0.3
+    assert create("Atlas", "ppo").hyper.ankle_range_rad == 0.1
+    wide, narrow = (create("Atlas", "silem", ankle_range_rad=a) for a in (0.3, 0.1))
+    assert wide.run_id != narrow.run_id == create("Atlas", "silem").run_id
+    assert "0.3" in wide.learner.model_xml() and wide.learner.name == "Atlas"
+    assert wide.learner.model_xml() != narrow.learner.model_xml()
+    with pytest.raises(SilemError, match=r"ankle_range_rad 0\.3 on Humanoid"):
+        create("Humanoid", "silem", ankle_range_rad=0.3)
+    with pytest.raises(SilemError, match="ankle_range_rad 0 on Atlas"):
+        create("Atlas", "silem", ankle_range_rad=0)
+
+
+def test_methods_and_demonstrations_of_humanoids() -> None:
+    assert create("Atlas", "silem").demonstrations == "cmu_08_01"
+    assert create("Atlas", "peng20").demonstrations == "cmu_08_01_on_Atlas"
+    assert create("Humanoid", "silem", "cmu_08_02").demonstrations == "cmu_08_02"
+    for body, method in (("HC0", "tpil"), ("HC0", "peng20"), ("Humanoid", "silem-mlp")):
+        with pytest.raises(SilemError, match=f"method '{method}' is not for {body}; allowed: ppo"):
+            create(body, method)
+    with pytest.raises(SilemError, match="peng20 imitates a clip retargeted to Humanoid, not"):
+        create("Humanoid", "peng20", "cmu_08_01_on_Atlas")
+    with pytest.raises(
+        SilemError, match="unknown starts 'lying'; allowed: standing"
+    ):
+        create("Humanoid", "silem", starts="lying")
+
+
+def test_a_humanoid_of_ones_own_takes_the_papers_humanoids_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(registry, "_BODIES", dict(registry._BODIES))
+    bodies.register(humanoid.body("Longarm", "both arms longer", {"left": 1.4, "right": 1.4}))
+    for method in ("silem", "tpil", "peng20", "ppo"):
+        assert create("Longarm", method).hyper == create("Humanoid", method).hyper
