@@ -21,7 +21,7 @@ from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
 DATA = paths.REPO / "data"
 RECORDS = sorted((DATA / "results").glob(f"*/*/{RECORD}"))
 STUDIES = sorted({path.parent.parent.name for path in RECORDS})
-FIGURES = [name for name in figures.__all__ if name != "runs_of"]
+FIGURES = [(study, name) for study in STUDIES for name in figures.OF_STUDY.get(study, ())]
 MANIFEST_PATH = DATA / "demonstrations" / MANIFEST
 MANIFEST_CONTENT = files.read_json(MANIFEST_PATH) if MANIFEST_PATH.is_file() else {}
 MAX_BYTES = 1_000_000  # of one committed file: evidence, not checkpoints
@@ -93,9 +93,9 @@ def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
 
 
 @needs_records
-@pytest.mark.parametrize("name", FIGURES)
-def test_every_cell_of_a_published_figure_has_a_run(name: str) -> None:
-    frame = figures.runs_of(name, results.load_records("halfcheetah", "book"))
+@pytest.mark.parametrize(("study", "name"), FIGURES)
+def test_every_cell_of_a_published_figure_has_a_run(study: str, name: str) -> None:
+    frame = figures.runs_of(name, results.load_records(study, "book"))
     first = [run["command"] for run in frame.attrs["missing"] if run["seed"] == TRIAL_SEEDS[0]]
     assert not first, f"{name} lacks the first trial of {len(first)} cells: {'; '.join(first)}"
 

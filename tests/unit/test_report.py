@@ -30,9 +30,7 @@ from silem.report import (
     tables,
 )
 
-FIGURES = [
-    "affine_or_mlp", "experts", "gaits", "learning_curves", "normalised_scores", "transforms",
-]  # fmt: skip
+FIGURES = figures.OF_STUDY["halfcheetah"]
 CASES = ("whole", "partial", "single", "bad expert", "empty", "tiny")
 
 

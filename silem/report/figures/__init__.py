@@ -5,10 +5,11 @@ from __future__ import annotations
 from silem.report.figures.affine import affine_transforms, transforms
 from silem.report.figures.humanoids import humanoid_scores
 from silem.report.figures.learning import learning_curves
-from silem.report.figures.sources import runs_of
+from silem.report.figures.sources import OF_STUDY, runs_of
 from silem.report.figures.trials import affine_or_mlp, experts, gaits, normalised_scores
 
 __all__ = [
+    "OF_STUDY",
     "affine_or_mlp",
     "affine_transforms",
     "experts",

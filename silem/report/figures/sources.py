@@ -29,6 +29,16 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "affine_transforms": (("silem",), ("Humanoid", "HumanoidR")),
 }
 
+OF_STUDY = {
+    "halfcheetah": (
+        "normalised_scores", "gaits", "experts", "affine_or_mlp", "learning_curves", "transforms",
+    ),
+    "humanoids": (
+        "humanoid_scores", "affine_transforms", "experts", "learning_curves", "transforms",
+    ),
+}  # fmt: skip
+"""The figures in which each study is told."""
+
 # The figures that mark runs of another number of iterations; the others leave them out.
 _WITH_STAND_INS = ("learning_curves", "humanoid_scores", "affine_transforms")
 
