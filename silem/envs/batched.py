@@ -52,7 +52,7 @@ class BatchedEnv(VecEnv):
     def __init__(
         self,
         n_envs: int,
-        spaces: tuple[gymnasium.Space, gymnasium.Space],
+        spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]],
         seed: int,
         max_steps: int,
     ) -> None:

@@ -96,7 +96,7 @@ class MujocoVecEnv(BatchedEnv):
         reading = self.simulation.read()
         self.skeletal_features = features_of(reading)
         self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
-        return walking.observe(reading)
+        return walking.observe(reading, self.skeletal_features)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`; they are clipped to -1..1.
@@ -123,8 +123,8 @@ class MujocoVecEnv(BatchedEnv):
         reading = self.simulation.read()
         rewards = walking.rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
         rewards[failed] = 0.0
-        observations = walking.observe(reading)
         self.skeletal_features = features_of(reading)
+        observations = walking.observe(reading, self.skeletal_features)
         self._length += 1
         self._return += rewards
         fallen = failed | (reading.head_m < self.body.fall_head_m)
@@ -159,11 +159,11 @@ class MujocoVecEnv(BatchedEnv):
                 },
             }
             self._begin(index)
-        fresh = self.simulation.read()
-        first, features = walking.observe(fresh), features_of(fresh)
-        for index in ended:
-            observations[index] = first[index]
-            self.reset_infos[index] = {"skeletal_features": features[index]}
+        fresh = self.simulation.read(ended)
+        features = features_of(fresh)
+        observations[ended] = walking.observe(fresh, features)
+        for index, row in zip(ended, features, strict=True):
+            self.reset_infos[index] = {"skeletal_features": row}
 
     def _begin(self, index: int) -> None:
         """Start an episode in one environment."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
@@ -47,28 +49,20 @@ class Simulation:
     def __init__(self, body: MujocoBody, n_envs: int, n_threads: int = 1) -> None:
         self.body = body
         self.model = mujoco.MjModel.from_xml_string(body.model_xml())
+        # Nothing reads sensors; what is needed is computed once per control step, not per substep.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         self.datas = [mujoco.MjData(self.model) for _ in range(n_envs)]
         self._landmarks = Landmarks(self.model, body.skeleton)
-        n_bodies = self.model.nbody
-        self._qpos = np.empty((n_envs, self.model.nq))
-        self._qvel = np.empty((n_envs, self.model.nv))
-        self._xpos = np.empty((n_envs, n_bodies, 3))
-        self._xmat = np.empty((n_envs, 9))
-        self._velocity = np.empty((n_envs, 3))
         torso, root = self._landmarks.torso, self._landmarks.root
+        self._controls = [data.ctrl for data in self.datas]
         self._views = [
-            (
-                data.ctrl,
-                data.qpos,
-                data.qvel,
-                data.xpos,
-                data.xmat[torso],
-                data.subtree_linvel[root],
-            )
+            (data.qpos, data.qvel, data.xpos.ravel(), data.xmat[torso], data.subtree_linvel[root])
             for data in self.datas
         ]
+        bounds = np.cumsum([0, *(view.size for view in self._views[0])]).tolist()
+        self._columns = [slice(*pair) for pair in itertools.pairwise(bounds)]
         self._threads = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
-        self._shares = np.array_split(np.arange(n_envs), n_threads)
+        self._shares = [share.tolist() for share in np.array_split(np.arange(n_envs), n_threads)]
 
     def place(self, index: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Put one state at joint positions (nq,) and velocities (nv,)."""
@@ -77,7 +71,6 @@ class Simulation:
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, data)
         mujoco.mj_subtreeVel(self.model, data)
-        self._gather(index)
 
     def advance(self, actions: np.ndarray) -> list[bool]:
         """Apply actions (E, A), within -1..1, for one control step.
@@ -86,9 +79,8 @@ class Simulation:
             Per environment, whether its physics went wrong: MuJoCo then starts the state anew.
         """
         if self._threads is None:
-            return self._advance(self._shares[0].tolist(), actions)
-        work = [(share.tolist(), actions) for share in self._shares]
-        results = self._threads.map(self._advance, *zip(*work, strict=True))
+            return self._advance(self._shares[0], actions)
+        results = self._threads.map(self._advance, self._shares, itertools.repeat(actions))
         return [failed for share in results for failed in share]
 
     def _advance(self, indices: list[int], actions: np.ndarray) -> list[bool]:
@@ -96,31 +88,24 @@ class Simulation:
         least = self.body.control_step_s - 0.5 * model.opt.timestep
         for index in indices:
             data = self.datas[index]
-            self._views[index][0][:] = actions[index]
+            self._controls[index][:] = actions[index]
             due = data.time + least
             mujoco.mj_step2(model, data)
             if rest:
                 mujoco.mj_step(model, data, rest)
             mujoco.mj_step1(model, data)
             mujoco.mj_subtreeVel(model, data)
-            self._gather(index)
             failed.append(data.time < due)
         return failed
 
-    def _gather(self, index: int) -> None:
-        _, qpos, qvel, xpos, xmat, velocity = self._views[index]
-        self._qpos[index], self._qvel[index], self._xpos[index] = qpos, qvel, xpos
-        self._xmat[index], self._velocity[index] = xmat, velocity
-
-    def read(self) -> Reading:
-        """Return copies of what all states hold."""
-        return Reading(
-            self._qpos.copy(),
-            self._qvel.copy(),
-            self._xpos[:, self._landmarks.ids],
-            self._landmarks.oriented(self._xmat),
-            self._velocity.copy(),
-        )
+    def read(self, indices: Iterable[int] | None = None) -> Reading:
+        """Return copies of what the states hold: the chosen ones', or all."""
+        views = self._views if indices is None else [self._views[index] for index in indices]
+        # One copy of everything, a row per state: what counts here is the number of NumPy calls.
+        rows = np.concatenate(list(itertools.chain.from_iterable(views))).reshape(len(views), -1)
+        qpos, qvel, xpos, xmat, velocity = (rows[:, columns] for columns in self._columns)
+        points = xpos.reshape(len(rows), -1, 3).take(self._landmarks.ids, axis=1)
+        return Reading(qpos, qvel, points, self._landmarks.oriented(xmat), velocity)
 
     def close(self) -> None:
         """End the threads; closing twice is allowed."""

@@ -66,7 +66,8 @@ class MujocoEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._simulation = Simulation(self.body, 1)
         self._simulation.place(0, *start_state(self.np_random, self.body, self._starts))
         reading = self._simulation.read()
-        return walking.observe(reading)[0], {"skeletal_features": features_of(reading)[0]}
+        features = features_of(reading)
+        return walking.observe(reading, features)[0], {"skeletal_features": features[0]}
 
     def step(
         self, action: np.ndarray
@@ -90,8 +91,10 @@ class MujocoEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reading = self._simulation.read()
         reward = walking.rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)[0]
         fallen = failed or bool(reading.head_m[0] < self.body.fall_head_m)
-        info = {"skeletal_features": features_of(reading)[0]}
-        return walking.observe(reading)[0], 0.0 if failed else float(reward), fallen, False, info
+        features = features_of(reading)
+        observation = walking.observe(reading, features)[0]
+        info = {"skeletal_features": features[0]}
+        return observation, 0.0 if failed else float(reward), fallen, False, info
 
     def render(self) -> np.ndarray | None:
         """Return a picture (H, W, 3), uint8, or None without a render mode.

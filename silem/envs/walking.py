@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from silem.bodies import MujocoBody
-from silem.skeleton.features import POINTS
+from silem.skeleton.features import FEATURES, POINTS
 
 DEMONSTRATOR_SPEED_M_S = 1.6
 """Mean speed of the man in clip 08_01: 3.679 m in 2.30 s."""
@@ -21,9 +21,12 @@ MAX_RETURN = 1000.0
 
 _UPRIGHT_FROM = 0.9  # cosine of the torso's tilt
 _UPRIGHT_MARGIN = 1.9
-_MARGIN_VALUE = 0.1  # dm_control's default value of its Gaussian at the margin
-_EXTREMITIES = [
-    POINTS.index(name) for name in ("left_hand", "left_foot", "right_hand", "right_foot")
+_LOG_MARGIN_VALUE = np.log(0.1)  # dm_control's default value of its Gaussian at the margin
+_FEATURE_NAMES = [feature.name for feature in FEATURES]
+_OBSERVED = [_FEATURE_NAMES.index("head_height")] + [
+    _FEATURE_NAMES.index(f"{vector}_{axis}")
+    for vector in ("left_hand", "left_foot", "right_hand", "right_foot", "torso_vertical")
+    for axis in "xyz"
 ]
 _HEAD = POINTS.index("head")
 
@@ -56,20 +59,20 @@ def observation_size(body: MujocoBody) -> int:
     return body.action_size + 1 + 12 + 3 + 3 + 6 + body.action_size
 
 
-def observe(reading: Reading) -> np.ndarray:
+def observe(reading: Reading, features: np.ndarray) -> np.ndarray:
     """Return dm_control's observation of a humanoid, (E, O) float32.
 
     In order: hinges in rad; height of the head in m; left hand, left foot, right hand, right foot
     relative to the torso, in its frame, in m; the vertical in the torso's frame; velocity of the
     centre of mass in the world in m/s; velocity of all joints.
+
+    Args:
+        reading: States.
+        features: Their skeletal features, (E, F).
     """
-    offsets = reading.points[:, _EXTREMITIES] - reading.points[:, :1]
-    extremities = offsets @ np.swapaxes(reading.torso_axes, 1, 2)
     parts = (
         reading.qpos[:, 7:],
-        reading.head_m[:, None],
-        extremities.reshape(len(offsets), -1),
-        reading.torso_axes[:, :, 2],
+        features[:, _OBSERVED],
         reading.com_velocity,
         reading.qvel,
     )
@@ -92,10 +95,10 @@ def rewards(
     """
     # tolerance() with a Gaussian that falls to 0.1 a margin below the bound
     below = np.maximum(standing_head_m - reading.head_m, 0.0) / (standing_head_m / 4)
-    standing = np.exp(np.log(_MARGIN_VALUE) * below**2)
+    standing = np.exp(_LOG_MARGIN_VALUE * below**2)
     short = np.maximum(_UPRIGHT_FROM - reading.torso_axes[:, 2, 2], 0.0)
     upright = np.maximum(1.0 - short / _UPRIGHT_MARGIN, 0.0)
-    small_control = (4.0 + (1.0 - actions**2).mean(axis=1)) / 5.0
-    speed = np.linalg.norm(reading.com_velocity[:, :2], axis=1)
+    small_control = (4.0 + (1.0 - actions**2).sum(axis=1) / actions.shape[1]) / 5.0
+    speed = np.sqrt((reading.com_velocity[:, :2] ** 2).sum(axis=1))
     move = (5.0 * np.minimum(speed / speed_m_s, 1.0) + 1.0) / 6.0
     return small_control * standing * upright * move

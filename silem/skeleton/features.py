@@ -28,10 +28,26 @@ class Feature(NamedTuple):
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
 _JOINTS = ("left_elbow", "right_elbow", "left_knee", "right_knee")
-_SEGMENTS = {  # what a joint lies between
-    "elbow": ("shoulder", "hand"),
-    "knee": ("hip", "foot"),
-}
+_SEGMENTS = {"elbow": ("shoulder", "hand"), "knee": ("hip", "foot")}  # what a joint lies between
+_HEAD = POINTS.index("head")
+
+
+def _vectors() -> tuple[np.ndarray, np.ndarray]:
+    """Return where the vectors that features are made of end and start: numbers of landmarks.
+
+    First from the torso to each of `_LIMBS`, then from each of `_JOINTS` to one end of its limb,
+    then to the other end.
+    """
+    pairs = [(limb, "torso") for limb in _LIMBS]
+    for end in (0, 1):
+        for joint in _JOINTS:
+            side, name = joint.split("_")
+            pairs.append((f"{side}_{_SEGMENTS[name][end]}", joint))
+    ends, starts = np.array([[POINTS.index(name) for name in pair] for pair in pairs]).T
+    return ends, starts
+
+
+_ENDS, _STARTS = _vectors()
 
 
 def _features() -> tuple[Feature, ...]:
@@ -73,7 +89,7 @@ class Landmarks:
         self.ids = np.array(found)
         self.torso = found[0]
         self.root = int(model.body_rootid[self.torso])
-        self._axes = ["xyz".index(axis) for axis in skeleton.axes]
+        self._axes = np.array(["xyz".index(axis) for axis in skeleton.axes])
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
         """Return the landmarks' positions in the world in m, (P, 3)."""
@@ -86,7 +102,7 @@ class Landmarks:
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
         """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
         frames = matrices.reshape(*matrices.shape[:-1], 3, 3)
-        return np.swapaxes(frames, -1, -2)[..., self._axes, :]
+        return np.swapaxes(frames, -1, -2).take(self._axes, axis=-2)
 
 
 def skeletal_features(
@@ -103,15 +119,16 @@ def skeletal_features(
         The features (..., F), float32, in the order of `FEATURES`.
     """
     rows = np.swapaxes(torso_axes, -1, -2)
-    offsets = points[..., [POINTS.index(limb) for limb in _LIMBS], :] - points[..., :1, :]
+    vectors = points.take(_ENDS, axis=-2) - points.take(_STARTS, axis=-2)
+    offsets, segments = vectors[..., :4, :], vectors[..., 4:, :]
     parts = (
         (offsets @ rows).reshape(*offsets.shape[:-2], 12),
-        np.stack([_angle(points, joint) for joint in _JOINTS], axis=-1),
-        points[..., POINTS.index("head"), 2:],
+        _angles(segments[..., :4, :], segments[..., 4:, :]),
+        points[..., _HEAD, 2:],
         torso_axes[..., 2],
         (com_velocity[..., None, :] @ rows)[..., 0, :],
     )
-    return np.concatenate(parts, axis=-1).astype(np.float32)
+    return np.concatenate(parts, axis=-1, dtype=np.float32)
 
 
 def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.ndarray:
@@ -121,10 +138,8 @@ def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.nd
     return skeletal_features(landmarks.points(data), landmarks.torso_axes(data), velocity)
 
 
-def _angle(points: np.ndarray, joint: str) -> np.ndarray:
-    """Return the angle in rad between the two segments that meet in a joint, (...)."""
-    side, name = joint.split("_")
-    ends = [points[..., POINTS.index(f"{side}_{end}"), :] for end in _SEGMENTS[name]]
-    first, second = (end - points[..., POINTS.index(joint), :] for end in ends)
-    lengths = np.linalg.norm(first, axis=-1) * np.linalg.norm(second, axis=-1)
-    return np.arccos(np.clip((first * second).sum(axis=-1) / lengths, -1.0, 1.0))
+def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles in rad between vectors (..., 3), (...)."""
+    squares = (first * first).sum(axis=-1), (second * second).sum(axis=-1)
+    cosines = (first * second).sum(axis=-1) / (np.sqrt(squares[0]) * np.sqrt(squares[1]))
+    return np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))

@@ -12,7 +12,9 @@ from dm_control import suite
 from silem import bodies
 from silem.bodies import humanoid
 from silem.envs import MujocoEnv, MujocoVecEnv, make_vec
+from silem.envs.humanoids import features_of
 from silem.envs.mujoco import Simulation
+from silem.envs.walking import observe
 from silem.errors import SilemError
 from silem.skeleton.features import FEATURES, Landmarks, g
 
@@ -157,6 +159,33 @@ def test_a_seed_fixes_everything_whatever_happened_before():
         np.testing.assert_array_equal(a, c)
     other = make_vec("Humanoid", 3, seed=8)
     assert not np.array_equal(other.reset(), fresh[0])
+
+
+def test_observations_are_those_of_the_present_states_also_after_falls():
+    env = make_vec("Humanoid", 3, seed=1)
+    env.reset()
+    n_falls = 0
+    for action in actions(60, 3):
+        observations, _, dones, _ = env.step(action)
+        reading = env.simulation.read()
+        np.testing.assert_array_equal(observations, observe(reading, features_of(reading)))
+        n_falls += dones.sum()
+    assert n_falls >= 3
+    chosen = env.simulation.read([2, 0])
+    for part, whole in zip(chosen, env.simulation.read(), strict=True):
+        np.testing.assert_array_equal(part, whole[[2, 0]])
+    assert not np.array_equal(chosen.qpos[0], chosen.qpos[1])
+
+
+def test_a_reading_does_not_change_when_the_simulation_goes_on():
+    env = make_vec("Humanoid", 2)
+    env.reset()
+    reading = env.simulation.read()
+    kept = [part.copy() for part in reading]
+    env.step(actions(1, 2)[0])
+    for part, before in zip(reading, kept, strict=True):
+        np.testing.assert_array_equal(part, before)
+    assert not np.array_equal(env.simulation.read().qpos, reading.qpos)
 
 
 def test_the_single_environment_is_the_batch_of_one():
