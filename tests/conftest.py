@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch as th
 
+import silem.offscreen  # noqa: F401  before a test imports MuJoCo, which then draws by it
+
 th.set_num_threads(1)
 
 # A shell's background job is born deaf to Ctrl-C, and so are its children; the tests send it.

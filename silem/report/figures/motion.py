@@ -119,7 +119,7 @@ def poses(motion: Motion, n_poses: int = 6) -> Figure:
             color = SIDE_COLORS[name.partition("_")[0]]
             axes.plot(*seen[:, POINTS.index(name)].T, color=color, lw=0.8, alpha=0.6)
         for state in np.linspace(0, len(seen) - 1, n_poses).round().astype(int):
-            _draw_pose(axes, seen[state])
+            draw_pose(axes, seen[state])
             x, y = seen[state, POINTS.index("head")]
             label = f"{state / motion.rate_hz:.2f} s"
             axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
@@ -173,7 +173,7 @@ def _stances(motion: Motion) -> Iterator[tuple[str, float, float]]:
             yield side, start / motion.rate_hz, (end - 1) / motion.rate_hz
 
 
-def _draw_pose(axes: Axes, points: np.ndarray) -> None:
+def draw_pose(axes: Axes, points: np.ndarray) -> None:
     """Draw one pose, points (P, 2), its left side behind its right one."""
     bones = [pair for chain in _CHAINS for pair in itertools.pairwise(chain)]
     for color in (SIDE_COLORS["left"], style.INK, SIDE_COLORS["right"]):
