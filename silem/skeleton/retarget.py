@@ -20,7 +20,7 @@ from silem.skeleton.demonstrator import Motion
 from silem.skeleton.features import POINTS, Landmarks, g
 from silem.skeleton.inverse_kinematics import PoseSolver
 from silem.skeleton.soles import Soles
-from silem.skeleton.targets import SIDES, TARGETS, Limbs, Targets, targets
+from silem.skeleton.targets import SIDES, TARGETS, Limbs, Targets, foot_speeds_m_s, targets
 
 TOLERANCE_M = 0.03
 """A frame whose targets are all reached to within this counts as converged."""
@@ -156,7 +156,7 @@ def _measure(
         converged=(residuals <= tolerance_m).all(axis=1),
         joint_names=hinges,
         at_limit=at_limit,
-        foot_skate_m_s=_foot_skate(reached[:, 3:], wanted.stance, motion.rate_hz),
+        foot_skate_m_s=np.where(wanted.stance, foot_speeds_m_s(points, motion.rate_hz), np.nan),
         raised_m=wanted.raised_m,
         sole_height_m=sole_height_m,
         ratios=wanted.ratios,
@@ -170,12 +170,6 @@ def _hinges_at_limit(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[tuple[str
     lower, upper = model.jnt_range[hinges].T
     at_limit = (angles < lower + LIMIT_TOLERANCE_RAD) | (angles > upper - LIMIT_TOLERANCE_RAD)
     return tuple(model.joint(int(hinge)).name for hinge in hinges), at_limit
-
-
-def _foot_skate(feet: np.ndarray, stance: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Return the horizontal speed of feet (T, 2, 3) in m/s while they should stand, (T, 2)."""
-    speed = np.linalg.norm(np.gradient(feet[..., :2], 1 / rate_hz, axis=0), axis=-1)
-    return np.where(stance, speed, np.nan)
 
 
 def _angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

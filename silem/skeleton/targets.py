@@ -142,8 +142,18 @@ def targets(
 
 def standing_feet(motion: Motion) -> np.ndarray:
     """Return whether the demonstrator's left and right foot stands in each frame, (T, 2)."""
-    velocity = np.gradient(_feet(motion)[..., :2], 1 / motion.rate_hz, axis=0)
-    return np.linalg.norm(velocity, axis=-1) < STANCE_SPEED_M_S
+    return foot_speeds_m_s(motion.points, motion.rate_hz) < STANCE_SPEED_M_S
+
+
+def foot_speeds_m_s(points: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Return how fast the left and the right foot move horizontally, (T, 2), of landmarks in m.
+
+    Args:
+        points: (T, P, 3) landmarks in the world in m.
+        rate_hz: Frames per second.
+    """
+    velocity = np.gradient(_feet(points)[..., :2], 1 / rate_hz, axis=0)
+    return np.linalg.norm(velocity, axis=-1)
 
 
 def _ground(motion: Motion, stance: np.ndarray) -> list[float]:
@@ -154,12 +164,12 @@ def _ground(motion: Motion, stance: np.ndarray) -> list[float]:
     """
     return [
         float(np.median(heights[stands]) if stands.any() else heights.min())
-        for heights, stands in zip(_feet(motion)[..., 2].T, stance.T, strict=True)
+        for heights, stands in zip(_feet(motion.points)[..., 2].T, stance.T, strict=True)
     ]
 
 
-def _feet(motion: Motion) -> np.ndarray:
-    return np.stack([_at(motion.points, f"{side}_foot") for side in SIDES], axis=1)
+def _feet(points: np.ndarray) -> np.ndarray:
+    return np.stack([_at(points, f"{side}_foot") for side in SIDES], axis=1)
 
 
 def _leftward(torso_axes: np.ndarray) -> np.ndarray:
