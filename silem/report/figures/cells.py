@@ -18,6 +18,7 @@ Draw = Callable[[Axes, float, np.ndarray, str, str], None]
 """Draws values (N,) of a method on a body at a place on the x axis."""
 
 LEVEL_DASHES = (0, (4, 3))
+OTHER_LENGTH = "shorter or longer run"
 _DOTS = 0.085  # the single trials stand this far right of their cell's range
 
 
@@ -126,6 +127,18 @@ def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column
             )  # fmt: skip
 
 
+def write_means(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
+    """Write each cell's mean, a whole number, above its highest trial."""
+    for x, method, body in places(frame, methods):
+        values = results.scores(frame, method, body, column)
+        if len(values):
+            axes.annotate(
+                style.number(values.mean()), (x, values.max()), xytext=(0, 6),
+                textcoords="offset points", ha="center", fontsize=7.5, color=style.INK,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
+            )  # fmt: skip
+
+
 def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str) -> None:
     """Draw a method's mean on each body as a dashed level across the body's slots."""
     for index, body in enumerate(results.body_names(frame)):
@@ -155,7 +168,7 @@ def handles(looks: Sequence[style.MethodStyle]) -> list[Line2D]:
 
 def cross_handle() -> Line2D:
     """Return the legend entry for runs of another number of iterations than planned."""
-    return Line2D([], [], ls="none", marker="x", color=style.MUTED, mew=1.8, label="other length")
+    return Line2D([], [], ls="none", marker="x", color=style.MUTED, mew=1.8, label=OTHER_LENGTH)
 
 
 def _reason(frame: pd.DataFrame, method: str, body: str) -> str:

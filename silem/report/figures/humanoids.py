@@ -52,11 +52,13 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
             cells.body_ticks(axes, frame, scale="PPO" if column == "return_mean" else "")
             cells.levels(axes, frame, "ppo", column)
             cells.draw_cells(axes, frame, COMPARED, column, cells.draw_range)
-            cells.room_for_counts(axes, 0.0, 1.04 * tops[column], 0.18)
+            share = 0.18 if column == "return_mean" else 0.04
+            cells.room_for_counts(axes, 0.0, 1.04 * tops[column], share)
         score, speed = panels["return_mean"], panels["speed_m_s"]
         score.axhline(highest, color=style.PAPER, lw=1.5, zorder=1.5)
         score.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
         speed.axhline(DEMONSTRATOR_SPEED_M_S, color=style.INK, lw=1.5, ls=_DEMONSTRATOR)
+        cells.write_means(score, frame, COMPARED, "return_mean")
         cells.trial_counts(score, frame, COMPARED, "return_mean")
         figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
         note = "hollow: one trial, so no range"

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from silem import bodies
 from silem.report import results, style
-from silem.report.figures import sources
+from silem.report.figures import cells, sources
 
 _QUANTITIES = {
     "return_mean": "return of an episode",
@@ -60,7 +60,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
         handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
         if frame["stand_in"].any():
-            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label="other length"))
+            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label=cells.OTHER_LENGTH))
         if handles:
             figure.legend(handles=handles, loc="outside upper left", ncols=3)
         _hide_made_up_ticks(grid)
