@@ -52,7 +52,7 @@ def _hand(human: Motion, result: IKResult, side: str) -> dict[str, str | float]:
     beyond = distance > TOLERANCE_M
     forward, left, _ = np.einsum("tij,tj->it", human.torso_axes, hand - wanted)
     ahead = np.einsum("tj,tj->t", human.torso_axes[:, 0], wanted - shoulder)
-    stopped: np.ndarray = result.at_limit[:, _arm_joints(result, side)].any(axis=1)
+    stopped = result.at_limit[:, _arm_joints(result, side)].sum(axis=1) > 0
     return {
         "body": result.body,
         "hand": side,

@@ -21,7 +21,8 @@ from PIL import Image, ImageDraw, ImageFont
 from silem import files
 from silem.errors import SilemError
 
-_INK = (32, 32, 32)
+_INK, _CHALK = (32, 32, 32), (245, 245, 245)
+_DARK = 96  # a background of less light than this gets a label in chalk
 _LABEL_SIZE = 0.055  # of the picture's height
 _GAP = 8  # pixels between two clips; even, as the video's width has to be
 
@@ -95,7 +96,9 @@ def labelled(clip: Clip, label: str) -> Clip:
     corner = round(_LABEL_SIZE * height / 2)
     ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
     ink = (np.asarray(plate, np.float32) / 255)[:, :, None]
-    frames = clip.frames * (1 - ink) + np.array(_INK, np.float32) * ink
+    covered = clip.frames[:, ink[:, :, 0] > 0]
+    color = _CHALK if covered.size and covered.mean() < _DARK else _INK
+    frames = clip.frames * (1 - ink) + np.array(color, np.float32) * ink
     return replace(clip, frames=frames.round().astype(np.uint8))
 
 

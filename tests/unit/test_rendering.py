@@ -109,6 +109,9 @@ def test_label_marks_every_frame_and_only_its_corner() -> None:
     assert not changed[:, 30:].any()
     assert not changed[:, :, 90:].any()
     assert (marked[changed] < clip.frames[changed]).all()  # dark ink
+    night = Clip(clip.frames // 3, clip.frames_per_s)
+    lit = rendering.labelled(night, "SILEM").frames
+    assert (lit[changed] > night.frames[changed]).all()
 
 
 def test_side_by_side_holds_the_last_frame_of_the_shorter() -> None:
