@@ -80,7 +80,7 @@ HUMANOIDS: dict[str, dict[str, int]] = {
     "book": {
         "n_envs": 16,
         "steps_per_iteration": _MUJOCO["steps_per_iteration"],
-        "n_iterations": 300,
+        "n_iterations": 2000,
     },
     "paper": {
         "n_envs": 16,
