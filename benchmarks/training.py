@@ -1,20 +1,19 @@
 """Steps per second of training, against raw simulation and stable-baselines3, in one run.
 
-Every contestant trains on HC0 with the paper's settings (2048 steps an iteration, 10 epochs of
-minibatches of 64; SILEM with its best combination for HC0). They take turns, several rounds, so
-that what else the machine does falls on all of them alike, and the time is the processor's; the
-table gives medians.
+Every contestant trains on one body with the `book` budget's counts and the paper's best
+combinations of hyper-parameters, HC0 also with the gradient penalty that some combinations have.
+They take turns, several rounds, so that what else the machine does falls on all of them alike,
+and the time is the processor's; the table gives medians.
 
-    python -m benchmarks.training [--rounds 5] [--iterations 3]
+    python -m benchmarks.training [--body Humanoid] [--rounds 5] [--iterations 3]
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
 from statistics import median
-from typing import Any
+from time import process_time
 
 import gymnasium
 import numpy as np
@@ -24,97 +23,129 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
 import silem
-from benchmarks.envs import Raw
+from benchmarks import bullet, humanoids
+from silem import bodies
+from silem.config import RunConfig
+from silem.demonstrations import Demonstrations
+from silem.envs import BulletVecEnv, MujocoVecEnv
+from silem.study.training import make_model
 
-BODY, N_ENVS, STEPS_PER_ITERATION = "HC0", 8, 2048
-PPO_SETTINGS: dict[str, Any] = {
-    "n_steps": STEPS_PER_ITERATION // N_ENVS,
-    "batch_size": 64,
-    "seed": 0,
+METHODS = {
+    "HC0": ("ppo", "silem-minus", "silem"),
+    "Humanoid": ("ppo", "silem-minus", "silem", "tpil"),
 }
+PUBLIC = "SB3 PPO on the public env"
 
 Contestant = Callable[[int], float]  # trains so many iterations, returns seconds
 
 
-def raw_simulation() -> Contestant:
-    """Set torques and step as many PyBullet clients in turn, and do nothing else."""
-    raw = Raw(BODY, N_ENVS)
+def raw_simulation(config: RunConfig) -> Contestant:
+    """Apply random actions to as many bodies in turn, and do nothing else."""
+    budget = config.budget
+    body = bodies.get(config.body)
+    raw: bullet.Raw | humanoids.Raw
+    if body.engine == "bullet":
+        raw = bullet.Raw(BulletVecEnv(body, budget.n_envs))
+    else:
+        raw = humanoids.Raw(MujocoVecEnv(body, budget.n_envs))
     rng = np.random.default_rng(0)
-    shape = (STEPS_PER_ITERATION // N_ENVS, N_ENVS, raw.env.body.action_size)
+    shape = (budget.steps_per_iteration // budget.n_envs, budget.n_envs, body.action_size)
 
     def simulate(iterations: int) -> float:
         raw.reset(seed=0)
-        start = time.process_time()
+        start = process_time()
         for _ in range(iterations):
             raw.run(rng.uniform(-1.0, 1.0, shape))
-        return time.process_time() - start
+        return process_time() - start
 
     return simulate
 
 
-def learner(model: SB3PPO) -> Contestant:
+def learner(model: SB3PPO, n_steps: int) -> Contestant:
     """Train a model; its first iteration, which builds the environments, is not timed."""
-    model.learn(STEPS_PER_ITERATION)
+    model.learn(n_steps)
 
     def train(iterations: int) -> float:
-        start = time.process_time()
-        model.learn(iterations * STEPS_PER_ITERATION, reset_num_timesteps=False)
-        return time.process_time() - start
+        start = process_time()
+        model.learn(iterations * n_steps, reset_num_timesteps=False)
+        return process_time() - start
 
     return train
 
 
-def public_env() -> VecEnv:
+def ours(config: RunConfig) -> Contestant:
+    """Train by one of our methods."""
+    demonstrations = None
+    if config.demonstrations:
+        demonstrations = Demonstrations.load(config.demonstrations)
+    env = silem.make_vec(config.body, config.budget.n_envs)
+    return learner(make_model(config, env, demonstrations), config.budget.steps_per_iteration)
+
+
+def theirs(config: RunConfig, env: VecEnv) -> Contestant:
+    """Train by stable-baselines3's PPO, with the same counts and networks."""
+    budget, hyper = config.budget, config.hyper
+    model = SB3PPO(
+        "MlpPolicy",
+        env,
+        n_steps=budget.steps_per_iteration // budget.n_envs,
+        batch_size=hyper.minibatch_size,
+        n_epochs=hyper.n_epochs,
+        policy_kwargs={"net_arch": list(hyper.policy_hidden)},
+        seed=0,
+        device="cpu",
+    )
+    return learner(model, budget.steps_per_iteration)
+
+
+def public_env(n_envs: int) -> VecEnv:
     """Return the public package's HalfCheetah, as many as ours."""
     import pybullet_envs_gymnasium  # noqa: F401  (registers the ids)
 
-    return DummyVecEnv([lambda: gymnasium.make("HalfCheetahBulletEnv-v0")] * N_ENVS)
+    return DummyVecEnv([lambda: gymnasium.make("HalfCheetahBulletEnv-v0")] * n_envs)
 
 
-def contestants() -> dict[str, Contestant]:
-    """Return everything that is timed, by name; the raw simulation first."""
-    rng = np.random.default_rng(0)
-    expert = [rng.standard_normal((1001, 26)).astype(np.float32) for _ in range(20)]
-    ours: dict[str, Any] = {"env": silem.make_vec(BODY, N_ENVS), **PPO_SETTINGS}
-    imitate: dict[str, Any] = {
-        "env": silem.make_vec(BODY, N_ENVS),
-        "demonstrations": expert,
-        **PPO_SETTINGS,
-    }
-    theirs: dict[str, Any] = {"device": "cpu", **PPO_SETTINGS}
-    return {
-        "raw simulation": raw_simulation(),
-        "our PPO": learner(silem.PPO("MlpPolicy", **ours)),
-        "our SILEM-minus": learner(silem.SILEM("MlpPolicy", transform="identity", **imitate)),
-        "our SILEM": learner(silem.SILEM("MlpPolicy", **imitate)),
-        "our SILEM, gradient penalty": learner(
-            silem.SILEM("MlpPolicy", gradient_penalty=1.0, **imitate)
-        ),
-        "SB3 PPO on our VecEnv": learner(
-            SB3PPO("MlpPolicy", silem.make_vec(BODY, N_ENVS), **theirs)
-        ),
-        "SB3 PPO on the public env": learner(SB3PPO("MlpPolicy", public_env(), **theirs)),
-    }
+def contestants(body: str) -> dict[str, Contestant]:
+    """Return everything that is timed on a body, by name; the raw simulation first."""
+    expert = RunConfig.create(body, "ppo", budget="book")
+    n_envs = expert.budget.n_envs
+    field = {"raw simulation": raw_simulation(expert)}
+    for method in METHODS[body]:
+        field[f"our {method}"] = ours(RunConfig.create(body, method, budget="book"))
+    field["SB3 PPO on our VecEnv"] = theirs(expert, silem.make_vec(body, n_envs))
+    if body == "HC0":
+        penalised = RunConfig.create(body, "silem", budget="book", gradient_penalty=1.0)
+        field["our silem, gradient penalty"] = ours(penalised)
+        field[PUBLIC] = theirs(expert, public_env(n_envs))
+    return field
+
+
+def table(rates: dict[str, list[float]]) -> str:
+    """Return medians of the contestants' rates as text."""
+    medians = {name: median(values) for name, values in rates.items()}
+    peer = PUBLIC if PUBLIC in medians else "SB3 PPO on our VecEnv"
+    lines = [f"{'':30}{'steps/s':>10}{'of raw':>10}{'x ' + peer:>32}"]
+    for name, rate in medians.items():
+        of_raw, of_peer = rate / medians["raw simulation"], rate / medians[peer]
+        lines.append(f"{name:30}{rate:10,.0f}{of_raw:10.2f}{of_peer:32.2f}")
+    return "\n".join(lines)
 
 
 def main() -> None:
     """Time all contestants in turn and print one table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--body", default="HC0", choices=list(METHODS))
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--iterations", type=int, default=3)
     args = parser.parse_args()
     th.set_num_threads(1)
-    field = contestants()
+    field = contestants(args.body)
+    n_steps = RunConfig.create(args.body, "ppo", budget="book").budget.steps_per_iteration
     rates: dict[str, list[float]] = {name: [] for name in field}
     for _ in tqdm(range(args.rounds), desc="rounds"):
         for name, run in field.items():
-            rates[name].append(args.iterations * STEPS_PER_ITERATION / run(args.iterations))
-    medians = {name: median(values) for name, values in rates.items()}
-    raw, public = medians["raw simulation"], medians["SB3 PPO on the public env"]
-    print(f"{BODY}, {N_ENVS} clients, median of {args.rounds} rounds")
-    print(f"{'':30}{'steps/s':>10}{'of raw':>10}{'x SB3 on public env':>22}")
-    for name, rate in medians.items():
-        print(f"{name:30}{rate:10.0f}{rate / raw:10.2f}{rate / public:22.2f}")
+            rates[name].append(args.iterations * n_steps / run(args.iterations))
+    print(f"{args.body}, median of {args.rounds} rounds\n{table(rates)}")
 
 
 if __name__ == "__main__":

@@ -2,19 +2,65 @@
 
 from __future__ import annotations
 
-from benchmarks import envs
+import numpy as np
+import pytest
+
+from benchmarks import bullet, humanoids, measurement
+from silem.envs import MujocoVecEnv
+
+
+@pytest.fixture(autouse=True)
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measurement, "STEPS", 60)
 
 
 def test_rows_are_filled_and_compared():
-    measurement = envs.Measurement.prepare("HC0", [1, 2])
+    measured = bullet.measurement("HC0", [1, 2])
     for seed in range(3):
-        measurement.repeat(seed)
-    assert [row.n_clients for row in measurement.rows] == [1, 1, 2, 2, 1, 1]
-    assert all(len(row.rates) == 3 and min(row.rates) > 0 for row in measurement.rows)
+        measured.repeat(seed)
+    assert [row.n_envs for row in measured.rows] == [1, 1, 2, 2, 1, 1]
+    assert all(len(row.rates) == 3 and min(row.rates) > 0 for row in measured.rows)
     # Reading the state costs something, and the public package reads it link by link.
-    assert measurement.batched[0].times(measurement.raw[0]) < 1
-    assert measurement.batched[0].times(measurement.peer) > 1
-    table = measurement.table().splitlines()
+    assert measured.batched[0].times(measured.raw[0]) < 1
+    assert measured.batched[0].times(measured.peer) > 1
+    table = measured.table().splitlines()
     assert len(table) == 6
     assert table[0].split()[-2] == "100.0%"
-    assert "of raw with" in measurement.verdict()
+    assert "of raw with" in measured.verdict()
+
+
+def test_humanoids_are_compared_with_raw_mujoco_and_dm_control():
+    measured = humanoids.measurement("Humanoid", [1, 4])
+    for seed in range(3):
+        measured.repeat(seed)
+    assert [row.n_envs for row in measured.rows] == [1, 1, 4, 4, 4, 1, 1]
+    assert measured.batched[1].times(measured.raw[1]) < 1
+    assert measured.batched[1].times(measured.peer) > 1
+    assert "times dm_control humanoid walk with 4" in measured.verdict()
+
+
+def test_without_a_peer_there_is_only_the_share_of_raw():
+    measured = humanoids.measurement("Atlas", [1])
+    measured.repeat(0)
+    assert measured.peer is None
+    assert measured.verdict().startswith("Atlas: ")
+    assert "times" not in measured.verdict()
+
+
+def test_raw_mujoco_simulates_what_our_environment_does_until_a_fall():
+    raw = humanoids.Raw(MujocoVecEnv("Humanoid", 2))
+    ours = MujocoVecEnv("Humanoid", 2)
+    raw.reset(seed=3)
+    ours.seed(3)
+    ours.reset()
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (10, 2, 21)).astype(np.float32)
+    raw.run(actions)
+    for action in actions:
+        *_, dones, _ = ours.step(action)
+        assert not dones.any()
+    for mine, theirs in zip(ours.simulation.datas, raw.env.simulation.datas, strict=True):
+        np.testing.assert_array_equal(mine.qpos, theirs.qpos)
+    raw.run(np.tile(actions, (20, 1, 1)))  # long enough to fall, often
+    head_m = raw.env.simulation.read().head_m
+    assert (head_m >= 1.0).all()  # they were put back on their feet

@@ -1,0 +1,105 @@
+"""MuJoCo's bodies: raw `mj_step`, our environments, dm_control's.
+
+All get the same actions and go back to the standing pose when the head falls, which random
+actions bring about every half second. Raw MuJoCo steps the states of one of our batches, from the
+same start.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from dm_control import suite
+
+from benchmarks.measurement import Batched, Measurement, Row, Single
+from silem.envs import MujocoEnv, MujocoVecEnv
+from silem.envs.mujoco import body_of
+
+PEER = "dm_control humanoid walk"
+N_ENVS = (1, 8, 16)
+N_THREADS = 2
+TARGET_TIMES_PEER = 1.5
+
+
+class Raw(Batched[MujocoVecEnv]):
+    """MuJoCo alone: controls set, simulation stepped, nothing read but the head's height."""
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, E, A) actions."""
+        body, model = self.env.body, self.env.simulation.model
+        step, n_substeps, fall_head_m = mujoco.mj_step, body.n_substeps, body.fall_head_m
+        pose = np.array(body.standing_pose)
+        head = model.body(body.skeleton.head).id
+        states = [(data, data.ctrl, data.xpos[head]) for data in self.env.simulation.datas]
+        for rows in actions:
+            for (data, control, head_m), action in zip(states, rows, strict=True):
+                control[:] = action
+                step(model, data, n_substeps)
+                if head_m[2] < fall_head_m:
+                    mujoco.mj_resetData(model, data)
+                    data.qpos[:] = pose
+                    mujoco.mj_forward(model, data)
+
+
+class Walker(Single):
+    """One of our Gymnasium environments, started anew after every fall."""
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, 1, A) actions."""
+        for action in actions[:, 0]:
+            _, _, fallen, _, _ = self.env.step(action)
+            if fallen:
+                self.env.reset()
+
+
+class DmControl:
+    """dm_control's task, in our standing pose at the start and after every fall.
+
+    Its own start is a random pose, drawn again until it touches nothing: the search would cost
+    it time that has nothing to do with steps.
+    """
+
+    def __init__(self, body: str) -> None:
+        """Make the environment, with no limit of steps."""
+        self.env = suite.load("humanoid", "walk", task_kwargs={"time_limit": float("inf")})
+        self.env.reset()
+        self._body = body_of(body)
+
+    def reset(self, seed: int) -> None:
+        """Stand."""
+        self._place(np.array(self._body.standing_pose))
+
+    def run(self, actions: np.ndarray) -> None:
+        """Step through (T, 1, A) actions."""
+        step, physics = self.env.step, self.env.physics
+        pose = np.array(self._body.standing_pose)
+        for action in actions[:, 0]:
+            step(action)
+            if physics.head_height() < self._body.fall_head_m:
+                self._place(pose)
+
+    def _place(self, pose: np.ndarray) -> None:
+        with self.env.physics.reset_context():
+            self.env.physics.data.qpos[:] = pose
+
+
+def measurement(body: str, n_envs: Sequence[int] = N_ENVS) -> Measurement:
+    """Make all contenders of a body, ours and raw with each number of environments."""
+    most = max(n_envs)
+    threaded = Batched(MujocoVecEnv(body, most, n_threads=N_THREADS))
+    others = [
+        Row(f"  {N_THREADS} threads, by the clock", most, threaded, time.perf_counter),
+        Row(f"gymnasium silem/{body}-v0", 1, Walker(MujocoEnv(body))),
+    ]
+    return Measurement(
+        body,
+        body_of(body).action_size,
+        [Row("raw mj_step", n, Raw(MujocoVecEnv(body, n))) for n in n_envs],
+        [Row("silem.make_vec", n, Batched(MujocoVecEnv(body, n))) for n in n_envs],
+        others,
+        Row(PEER, 1, DmControl(body)) if body == "Humanoid" else None,
+        TARGET_TIMES_PEER,
+    )
