@@ -130,6 +130,23 @@ def test_figure_3b_shows_what_the_score_hides(frame: pd.DataFrame) -> None:
     assert lines_at(speed, style.INK)[0].get_ydata()[0] == 1.6
 
 
+def test_scores_at_the_foot_of_their_scale_are_shown_enlarged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for method, level in (("ppo", 800.0), ("silem", 60.0), ("tpil", 20.0)):
+        synthetic.write_record(planned(method, "Humanoid"), return_mean=level)
+    figure = figures.humanoid_scores(results.load_records("humanoids", "book"))
+    assert_readable(figure)
+    score, enlarged, survived, speed = figure.axes
+    assert enlarged.get_title(loc="left") == "True return, enlarged"
+    assert survived.get_title(loc="left") == "Share survived, enlarged"
+    assert score.get_ylim()[1] > 1000 and speed.get_ylim()[1] > 1.6
+    assert 60 < enlarged.get_ylim()[1] < 100 and survived.get_ylim()[1] < 0.2
+    dashes = [len(lines_at(axes, style.MUTED)) for axes in (score, enlarged)]
+    assert dashes == [1, 0]  # PPO's level is off the enlarged scale
+
+
 @study("single")
 def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
     score = figures.humanoid_scores(frame).axes[0]

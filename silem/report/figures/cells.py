@@ -139,11 +139,11 @@ def write_means(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column:
             )  # fmt: skip
 
 
-def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str) -> None:
-    """Draw a method's mean on each body as a dashed level across the body's slots."""
+def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str, top: float) -> None:
+    """Draw a method's mean on each body, up to `top`, as a dashed level across the body's slots."""
     for index, body in enumerate(results.body_names(frame)):
         values = results.scores(frame, method, body, column)
-        if len(values):
+        if len(values) and values.mean() <= top:
             ends, level = [index - 0.44, index + 0.44], float(values.mean())
             axes.plot(ends, [level, level], color=style.MUTED, lw=1.2, ls=LEVEL_DASHES, zorder=1.8)
 
