@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from silem.errors import SilemError
 from silem.report import style
+from silem.report.figures.motion import SIDE_COLORS, draw_pose
 from silem.skeleton.features import POINTS
 
-_CHAINS = (
-    ("torso", "head"),
-    ("torso", "left_shoulder", "left_elbow", "left_hand"),
-    ("torso", "right_shoulder", "right_elbow", "right_hand"),
-    ("torso", "left_hip", "left_knee", "left_foot"),
-    ("torso", "right_hip", "right_knee", "right_foot"),
-)
-_COLORS = {"left": "#E07B39", "right": "#0072B2"}
 _AZIMUTH_DEG = 25.0  # seen from the right and a little from the front, level with the floor
 _METRE = float(np.cos(np.deg2rad(_AZIMUTH_DEG)))  # a metre of the way, as long as it is seen
 _MARGIN_M = 0.15
@@ -60,7 +51,7 @@ def humanoids(
         _frame(walk, _project(points))
         shown = np.linspace(0, len(points) - 1, n_poses).round().astype(int)
         for rank, state in enumerate(shown, start=1):
-            _draw(walk, _project(points[state]), alpha=0.35 + 0.65 * rank / n_poses)
+            draw_pose(walk, _project(points[state]), alpha=0.35 + 0.65 * rank / n_poses)
         way_m = float(np.linalg.norm(points[-1, 0, :2] - points[0, 0, :2]))
         walk.set_title(f"The demonstrator: {way_m:.1f} m in {(len(points) - 1) / rate_hz:.1f} s")
         for name, picture in pictures.items():
@@ -77,25 +68,6 @@ def _project(points: np.ndarray) -> np.ndarray:
     return points @ np.stack([right, [0.0, 0.0, 1.0]], axis=1)
 
 
-def _draw(axes: Axes, points: np.ndarray, alpha: float) -> None:
-    """Draw one pose (P, 2): the left side, which is the far one, behind the right one."""
-    bones = [pair for chain in _CHAINS for pair in itertools.pairwise(chain)]
-    sides = [end.partition("_")[0] for _, end in bones]
-    for side in ("left", "head", "right"):
-        segments = [
-            points[[POINTS.index(end) for end in bone]]
-            for bone, of_side in zip(bones, sides, strict=True)
-            if of_side == side
-        ]
-        axes.add_collection(
-            LineCollection(
-                segments, colors=_COLORS.get(side, style.INK), linewidths=2.6, alpha=alpha,
-                capstyle="round",
-            )
-        )  # fmt: skip
-    axes.plot(*points[POINTS.index("head")], "o", ms=8, color=style.INK, mec="none", alpha=alpha)
-
-
 def _frame(axes: Axes, points: np.ndarray) -> None:
     """Set the limits so that the whole walk (T, P, 2) is seen, undistorted, on its floor."""
     low, high = points.min(axis=(0, 1)) - _MARGIN_M, points.max(axis=(0, 1)) + _MARGIN_M
@@ -104,5 +76,7 @@ def _frame(axes: Axes, points: np.ndarray) -> None:
     strokes = np.arange(np.ceil(low[0] / _METRE), np.floor(high[0] / _METRE) + 1) * _METRE
     axes.plot(strokes, np.zeros(len(strokes)), "|", ms=9, color=style.MUTED, zorder=0)
     axes.set_axis_off()
-    lines = [Line2D([], [], color=c, lw=2.6, label=f"{side} side") for side, c in _COLORS.items()]
+    lines = [
+        Line2D([], [], color=c, lw=2.6, label=f"{side} side") for side, c in SIDE_COLORS.items()
+    ]
     axes.legend(handles=lines, loc="upper right", bbox_to_anchor=(1, 1.12), ncols=2, fontsize=8)

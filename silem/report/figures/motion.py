@@ -173,16 +173,19 @@ def _stances(motion: Motion) -> Iterator[tuple[str, float, float]]:
             yield side, start / motion.rate_hz, (end - 1) / motion.rate_hz
 
 
-def draw_pose(axes: Axes, points: np.ndarray) -> None:
+def draw_pose(axes: Axes, points: np.ndarray, alpha: float = 1.0) -> None:
     """Draw one pose, points (P, 2), its left side behind its right one."""
     bones = [pair for chain in _CHAINS for pair in itertools.pairwise(chain)]
     for color in (SIDE_COLORS["left"], style.INK, SIDE_COLORS["right"]):
         chosen = [bone for bone in bones if _bone_color(bone) == color]
         segments = [points[[POINTS.index(name) for name in bone]] for bone in chosen]
         axes.add_collection(
-            LineCollection(segments, colors=color, linewidths=2.4, capstyle="round", zorder=3)
+            LineCollection(
+                segments, colors=color, linewidths=2.4, capstyle="round", zorder=3, alpha=alpha
+            )
         )
-    axes.plot(*points[POINTS.index("head")], "o", ms=7, color=style.INK, zorder=4)
+    head = points[POINTS.index("head")]
+    axes.plot(*head, "o", ms=7, color=style.INK, mec="none", zorder=4, alpha=alpha)
 
 
 def _bone_color(bone: tuple[str, str]) -> str:
