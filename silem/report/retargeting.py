@@ -1,4 +1,4 @@
-"""Tables of a retargeting: limb ratios, what the hands could not reach and why, start states."""
+"""Tables of a retargeting: limb ratios, what the hands could not reach, foot skate, starts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ from silem.skeleton.inverse_kinematics import PoseSolver
 from silem.skeleton.retarget import TOLERANCE_M, IKResult
 from silem.skeleton.retarget_report import learner
 from silem.skeleton.starts import demonstration_states
-from silem.skeleton.targets import SIDES, TARGETS, Limbs, targets
+from silem.skeleton.targets import (
+    SIDES,
+    TARGETS,
+    Limbs,
+    foot_speeds_m_s,
+    standing_feet,
+    targets,
+)
 
 _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 
@@ -64,6 +71,34 @@ def _hand(human: Motion, result: IKResult, side: str) -> dict[str, str | float]:
         "behind (%)": 100 * _mean(ahead[beyond] < 0),
         "at limit (%)": 100 * _mean(stopped[beyond]),
     }
+
+
+def foot_skate(human: Motion, results: Iterable[IKResult]) -> pd.DataFrame:
+    """Return the speeds of the ankles in m/s while the man's feet stand: his own and the learners'.
+
+    Args:
+        human: The demonstrator's motion.
+        results: The same motion on some bodies.
+
+    Returns:
+        Mean and largest speed of the left and of the right ankle, one row per body.
+    """
+    skates = {"the man": own_foot_skate(human)}
+    skates |= {result.body: result.foot_skate_m_s for result in results}
+    rows = {
+        name: {
+            f"{side} {what} (m/s)": of(speeds)
+            for side, speeds in zip(SIDES, skate.T, strict=True)
+            for what, of in (("mean", np.nanmean), ("largest", np.nanmax))
+        }
+        for name, skate in skates.items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("body")
+
+
+def own_foot_skate(human: Motion) -> np.ndarray:
+    """Return the speed of the demonstrator's own standing ankles in m/s, (T, 2); NaN in swing."""
+    return np.where(standing_feet(human), foot_speeds_m_s(human.points, human.rate_hz), np.nan)
 
 
 def hand_targets(human: Motion, result: IKResult) -> np.ndarray:

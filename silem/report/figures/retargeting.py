@@ -14,15 +14,10 @@ from matplotlib.ticker import MaxNLocator
 from silem.errors import SilemError
 from silem.report import style
 from silem.report.figures.motion import SIDE_COLORS, draw_pose
-from silem.report.retargeting import hand_targets
+from silem.report.retargeting import hand_targets, own_foot_skate
 from silem.skeleton.demonstrator import Motion
 from silem.skeleton.retarget import TOLERANCE_M, IKResult
-from silem.skeleton.targets import (
-    SIDES,
-    TARGETS,
-    foot_speeds_m_s,
-    standing_feet,
-)
+from silem.skeleton.targets import SIDES, TARGETS
 
 _MARGIN_M = 0.15
 _SIDE_VIEW = [0, 2]  # x to the right and z up: seen from the right
@@ -41,7 +36,7 @@ _LINES = {
 def poses(human: Motion, result: IKResult, n_poses: int = 5) -> Figure:
     """Draw poses of the demonstrator and of a learner with its hands' targets, seen from the right.
 
-    A ring around each target has the tolerance as its radius: a hand inside it has arrived.
+    A ring around each target has the tolerance as its radius: a hand outside it has not arrived.
 
     Args:
         human: The demonstrator's motion.
@@ -110,8 +105,7 @@ def foot_skate(human: Motion, results: Sequence[IKResult]) -> Figure:
         human: The demonstrator's motion.
         results: The same motion on some bodies.
     """
-    stands = standing_feet(human)
-    own = np.where(stands, foot_speeds_m_s(human.points, human.rate_hz), np.nan)
+    own = own_foot_skate(human)
     time_s = np.arange(len(own)) / human.rate_hz
     with style.applied():
         figure, grid = style.new_figure(2.5, ncols=len(results), sharey=True, squeeze=False)
