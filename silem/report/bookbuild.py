@@ -37,6 +37,7 @@ BOOK_PARAMETERS: Parameters = {
     "04_imitate": {"body": "HC0", "budget": "quick", "video_s": 6.0},
     "05_halfcheetah": {"video_s": 7.0},
     "11_retargeting": {"film_all": True, "video_s": 2.3},
+    "12_walking": {"budget": "book", "video_s": 6.0},
 }
 """Parameters that differ from a notebook's defaults, which are made for tests."""
 

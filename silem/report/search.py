@@ -1,104 +1,225 @@
 """The search for the hyper-parameters that the paper leaves open, as it was recorded.
 
-``data/search/<family>.json`` holds one entry per exploratory run: what was set, and its learning
-curve in means over 20 iterations. Exploratory runs chose the settings; no result rests on them.
+``data/search/<family>.json`` holds one entry per exploratory run: its name, what was set, and its
+learning curve in means over a few iterations, which end at the ``iteration`` of their row.
+Exploratory runs chose the settings; no result rests on them.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from silem import files, paths
-from silem.errors import SilemError
+from silem import bodies, files, paths
+from silem.errors import SilemError, choose
 from silem.report import results, style, tables
 
-_COLUMNS = ["iteration", "return_mean", "speed_m_s", "disc_reward"]
-SETTINGS = {
+_SHARED = {
     "gradient_penalty": "gradient penalty",
-    "disc_learning_rate": "rate of D",
     "transform_learning_rate": "rate of T",
     "schedule": "iterations planned",
 }
+SETTINGS = {
+    "halfcheetah": {"disc_learning_rate": "rate of D"} | _SHARED,
+    "humanoids": {
+        "learning_rate": "rate of PPO",
+        "clip_range": "clip range",
+        "n_epochs": "epochs",
+        "minibatch_size": "minibatch",
+        "log_std_init": "first std",
+        "starts": "starts",
+    }
+    | _SHARED,
+}
+"""What the exploratory runs of each family varied, with its heading."""
+
+QUANTITIES = {
+    "return_mean": "return of an episode",
+    "episode_length": "steps before a fall",
+    "speed_m_s": "forward speed (m/s)",
+    "disc_reward": "discriminator reward",
+}
+"""What the curves hold; a runner's episode has no fall."""
+
+_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+_DASHES: tuple[Any, ...] = (
+    "-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (9, 3)), (0, (3, 1, 1, 1, 1, 1)),
+)  # fmt: skip
+_LAST = {
+    "return_mean": ("return", 0),
+    "episode_length": ("steps before a fall", 0),
+    "speed_m_s": ("speed (m/s)", 2),
+    "disc_reward": ("reward of D", 0),
+}
 
 
-def load(family: str = "halfcheetah") -> pd.DataFrame:
+def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
     """Return the exploratory runs, one row each, with their curve as a DataFrame.
 
+    Args:
+        family: A key of `SETTINGS`.
+        method: Keep this method's runs alone.
+
     Raises:
-        SilemError: The file is missing, or an entry lacks something.
+        SilemError: The family is unknown, the file is missing, or an entry lacks something.
     """
+    settings = SETTINGS[choose("family", family, SETTINGS)]
     path = paths.REPO / "data" / "search" / f"{family}.json"
     rows = []
     for entry in files.read_json(path):
-        wanted = {"body", "method", "rows", *SETTINGS}
+        wanted = {"name", "body", "method", "columns", "rows", *settings}
         if missing := wanted - entry.keys():
             raise SilemError(f"{path.name}: an entry lacks {', '.join(sorted(missing))}")
-        curve = pd.DataFrame(entry["rows"], columns=_COLUMNS).dropna()
-        rows.append({**{key: entry[key] for key in wanted - {"rows"}}, "curve": curve})
-    return pd.DataFrame(rows)
+        curve = pd.DataFrame(entry["rows"], columns=entry["columns"]).astype(float)
+        values = {key: entry[key] for key in ("name", "body", "method", *settings)}
+        rows.append(values | {"curve": curve})
+    frame = pd.DataFrame([row for row in rows if method in (None, row["method"])])
+    frame.attrs["settings"] = settings
+    return frame
 
 
 def prototype() -> pd.DataFrame:
     """Return, as text, what a prototype was seen to do before any run was recorded."""
-    entries = files.read_json(paths.REPO / "data" / "search" / "prototype.json")
-    return pd.DataFrame(entries)
+    return pd.DataFrame(files.read_json(paths.REPO / "data" / "search" / "prototype.json"))
+
+
+def at(frame: pd.DataFrame, name: str, iteration: int, quantity: str) -> float:
+    """Return one number of one exploratory run, for a sentence.
+
+    Raises:
+        SilemError: There is no such run, or its curve has no such row.
+    """
+    runs = dict(zip(frame["name"], frame["curve"], strict=True))
+    curve = runs[choose("exploratory run", name, runs)].set_index("iteration")
+    if iteration not in curve.index:
+        raise SilemError(f"the curve of {name} has no row at iteration {iteration}")
+    return float(curve.loc[iteration, quantity])
 
 
 def table(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return, as text, what was set and what it led to, best return first within each body."""
+    """Return, as text, what was varied and what it led to, best return first in each method."""
     last = pd.DataFrame([curve.iloc[-1] for curve in frame["curve"]], index=frame.index)
-    ordered = frame.join(last).sort_values(["body", "return_mean"], ascending=[True, False])
-    rows = [
-        {
-            "body": run.body,
-            "method": _label(run.method),
-            **{label: _plain(getattr(run, name)) for name, label in SETTINGS.items()},
-            "iterations made": style.number(run.iteration),
-            "return": style.number(run.return_mean),
-            "speed (m/s)": f"{run.speed_m_s:.2f}",
-            "reward of D": style.number(run.disc_reward),
-        }
-        for run in ordered.itertuples()
-    ]
+    ordered = frame.join(last).sort_values(
+        ["body", "method", "return_mean"], ascending=[True, True, False]
+    )
+    varied = [name for name in frame.attrs["settings"] if _varies(frame[name])]
+    rows = []
+    for run in ordered.to_dict("records"):
+        row = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        row |= {frame.attrs["settings"][name]: _written(name, run[name]) for name in varied}
+        row["iterations made"] = style.number(run["iteration"])
+        for name, (heading, digits) in _LAST.items():
+            if last.get(name, pd.Series()).notna().any():
+                row[heading] = tables.number(run[name], digits)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _plain(value: float) -> str:
-    return "–" if pd.isna(value) else f"{value:g}"
+def curves(
+    frame: pd.DataFrame, quantities: Sequence[str] = ("return_mean",), colored: str = "method"
+) -> Figure:
+    """Draw the exploratory runs over iterations: a row per quantity, a column per body.
 
+    The legend names a run by what is set otherwise than in most of them; those settings stand
+    below the figure.
 
-def _label(method: str) -> str:
-    return style.method(method).label.partition(" (")[0]
+    Args:
+        frame: Runs of `load`.
+        quantities: Keys of `QUANTITIES`.
+        colored: The column by whose values the lines are coloured: ``"method"`` or a setting. Runs
+            that share a value differ in their dashes, best return first.
 
-
-def curves(frame: pd.DataFrame) -> Figure:
-    """Draw the return of every exploratory run over iterations, a panel per body."""
-    bodies = sorted(frame["body"].unique())
+    Raises:
+        SilemError: There is no such quantity, or no such column.
+    """
+    for quantity in quantities:
+        choose("quantity", quantity, QUANTITIES)
+    usual = _usual(frame, choose("column", colored, ("method", *frame.attrs["settings"])))
+    names = sorted(frame["body"].unique())
+    n_most = int(frame["body"].value_counts().max())
     with style.applied():
-        figure, axes = style.new_figure(3.4, ncols=len(bodies), sharey=True, squeeze=False)
-        for panel, body in zip(axes[0], bodies, strict=True):
-            _panel(panel, frame[frame["body"] == body])
-            panel.set(title=body, xlabel="iteration")
-        axes[0, 0].set_ylabel("return of an episode")
-        style.footer(figure, f"{len(frame)} exploratory runs, one seed each; not evidence")
+        figure, grid = style.new_figure(
+            1.55 * len(quantities) + 0.19 * n_most + 1.2, nrows=len(quantities),
+            ncols=len(names), sharex="col", sharey="row", squeeze=False,
+        )  # fmt: skip
+        for column, body in zip(grid.T, names, strict=True):
+            looks = _looks(frame[frame["body"] == body], colored, usual)
+            column[0].set_title(body)
+            for axes, quantity in zip(column, quantities, strict=True):
+                _panel(axes, looks, quantity)
+            column[-1].set_xlabel("iteration")
+            below = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.3)}
+            column[-1].legend(**below, fontsize=8, handlelength=3.2)
+        for axes, quantity in zip(grid[:, 0], quantities, strict=True):
+            axes.set_ylabel(QUANTITIES[quantity])
+        figure.align_ylabels(grid[:, 0])
+        unless = ", ".join(
+            f"{frame.attrs['settings'][k]} {_written(k, v)}" for k, v in usual.items()
+        )
+        note = f"{len(frame)} exploratory runs, one seed each; not evidence"
+        style.footer(figure, f"{note}; unless named: {unless}")
     return figure
 
 
-def _panel(axes: Axes, runs: pd.DataFrame) -> None:
-    shades = {1: "-", 2: "--", 3: ":"}
-    for method, group in runs.groupby("method"):
-        look = style.method(str(method))
-        ordered = sorted(group.to_dict("records"), key=lambda run: run["curve"].iloc[-1, 1])
-        for rank, run in enumerate(reversed(ordered), start=1):
-            rates = f"penalty {run['gradient_penalty']:g}, D {run['disc_learning_rate']:g}"
-            axes.plot(
-                run["curve"]["iteration"], run["curve"]["return_mean"], color=look.color,
-                ls=shades.get(rank, ":"), lw=1.6 if rank == 1 else 1.0,
-                label=f"{_label(str(method))}: {rates}" if rank == 1 else None,
-            )  # fmt: skip
-    axes.legend(loc="lower right", fontsize=7)
+def _varies(values: pd.Series) -> bool:
+    return values.nunique() > 1
+
+
+def _usual(frame: pd.DataFrame, colored: str) -> dict[str, Any]:
+    """Return the settings that vary, each with its most frequent value."""
+    names = [name for name in frame.attrs["settings"] if name != colored and _varies(frame[name])]
+    return {name: frame[name].mode().iloc[0] for name in names}
+
+
+def _looks(
+    runs: pd.DataFrame, colored: str, usual: dict[str, Any]
+) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
+    """Give every run of a body its curve's look."""
+    headings, looks = runs.attrs["settings"], []
+    for index, (value, group) in enumerate(runs.groupby(colored)):
+        first = f"{headings.get(colored)} {_written(colored, value)}"
+        color = _COLORS[index % len(_COLORS)]
+        if colored == "method":
+            color = style.method(str(value)).color
+            first = _label(runs["body"].iloc[0], str(value))
+        ordered = sorted(group.to_dict("records"), key=_last_return, reverse=True)
+        for rank, run in enumerate(ordered):
+            others = [
+                f"{headings[name]} {_written(name, run[name])}"
+                for name, value_of_most in usual.items()
+                if run[name] != value_of_most and pd.notna(run[name])
+            ]
+            line = {"color": color, "ls": _DASHES[rank % len(_DASHES)], "lw": 1.4}
+            looks.append((run["curve"], line | {"label": ", ".join([first, *others])}))
+    return looks
+
+
+def _last_return(run: dict[str, Any]) -> float:
+    return float(run["curve"]["return_mean"].iloc[-1])
+
+
+def _panel(axes: Axes, looks: Sequence[tuple[pd.DataFrame, dict[str, Any]]], quantity: str) -> None:
+    for curve, line in looks:
+        known = curve[["iteration", quantity]].dropna()
+        axes.plot(known["iteration"], known[quantity], **line)
+
+
+def _written(name: str, value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    if pd.isna(value):
+        return tables.DASH
+    return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}"
+
+
+def _label(body: str, method: str) -> str:
+    original = "" if bodies.get(body).family == "humanoid" else "HC0"
+    return style.method(method, original).label.partition(" (")[0]
 
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
@@ -113,7 +234,7 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
         for method in ("silem", "silem-minus"):
             for name, frame in (("yes", penalised), ("no", unpenalised)):
                 runs = results.cell(frame, method, body)
-                row = {"body": body, "method": _label(method), "penalty": name}
+                row = {"body": body, "method": _label(body, method), "penalty": name}
                 row["trials"] = str(len(runs)) if len(runs) else "no run"
                 for label, (column, digits) in _COMPARED.items():
                     mean = runs[column].mean()
