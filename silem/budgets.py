@@ -46,7 +46,12 @@ class Budget:
     @property
     def is_evidence(self) -> bool:
         """Whether finished runs are published to the committed results."""
-        return self.name in ("book", "paper")
+        return self.base_name in ("book", "paper")
+
+    @property
+    def base_name(self) -> str:
+        """Name of the budget that this one is, or that it has other iterations than."""
+        return self.name.partition("-")[0]
 
     def with_iterations(self, n_iterations: int) -> Budget:
         """Return this budget with another number of iterations, and a name that says so."""
@@ -100,7 +105,7 @@ def of_body(budget: Budget, body: str, family: str) -> Budget:
     A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
     stays as it is.
     """
-    base = BUDGETS.get(budget.name.partition("-")[0])
+    base = BUDGETS.get(budget.base_name)
     if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
         return budget
     counts: dict[str, Any] = {"n_iterations": LONGER.get((base.name, body), base.n_iterations)}

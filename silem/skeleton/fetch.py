@@ -9,8 +9,6 @@ import hashlib
 import os
 from pathlib import Path
 
-import pooch
-
 from silem import paths
 from silem.errors import SilemError, choose
 
@@ -79,6 +77,8 @@ def mocap_file(name: str) -> Path:
 
 
 def _download(name: str, path: Path) -> None:
+    import pooch  # it wakes tqdm, whose warning would stand in every notebook
+
     pooch.get_logger().setLevel("WARNING")  # the hash is checked here, not by pooch
     try:
         pooch.retrieve(URL + name, known_hash=None, fname=path.name, path=path.parent)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from silem import files, paths
-from silem.budgets import BUDGETS
 from silem.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
 from silem.demonstrations import MANIFEST, Demonstrations
 from silem.report import figures, results
@@ -43,7 +42,7 @@ def test_record_is_sound_and_whole(path: Path) -> None:
     record = validate(path.parent)
     config = record.run_config()
     assert config.study == path.parent.parent.name
-    assert BUDGETS[config.budget.name].is_evidence
+    assert config.budget.is_evidence
     assert config.seed in TRIAL_SEEDS
     assert record.status == "finished"
     assert record.provenance["git_commit"]
@@ -88,15 +87,22 @@ def test_curves_end_where_training_ended(path: Path) -> None:
 @pytest.mark.parametrize("study", STUDIES)
 def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
     """A run of other settings or seeds in a study's folder would be evidence that nobody sees."""
-    for budget in {RunRecord.load(path).config["budget"]["name"] for path in RECORDS}:
+    for budget in {RunRecord.load(path).run_config().budget.base_name for path in RECORDS}:
         assert results.load_records(study, budget).attrs["set_aside"] == []
 
 
 @needs_records
 @pytest.mark.parametrize(("study", "name"), FIGURES)
 def test_every_cell_of_a_published_figure_has_a_run(study: str, name: str) -> None:
-    frame = figures.runs_of(name, results.load_records(study, "book"))
-    first = [run["command"] for run in frame.attrs["missing"] if run["seed"] == TRIAL_SEEDS[0]]
+    records = results.load_records(study, "book")
+    there = set(zip(records["method"], records["body"], records["seed"], strict=True))
+    missing = figures.runs_of(name, records).attrs["missing"]
+    # a run of another number of iterations stands in for the planned one, and is marked so
+    first = [
+        run["command"]
+        for run in missing
+        if run["seed"] == TRIAL_SEEDS[0] and (run["method"], run["body"], run["seed"]) not in there
+    ]
     assert not first, f"{name} lacks the first trial of {len(first)} cells: {'; '.join(first)}"
 
 

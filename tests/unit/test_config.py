@@ -182,9 +182,7 @@ def test_methods_and_demonstrations_of_humanoids() -> None:
             create(body, method)
     with pytest.raises(SilemError, match="peng20 imitates a clip retargeted to Humanoid, not"):
         create("Humanoid", "peng20", "cmu_08_01_on_Atlas")
-    with pytest.raises(
-        SilemError, match="unknown starts 'lying'; allowed: standing"
-    ):
+    with pytest.raises(SilemError, match="unknown starts 'lying'; allowed: standing"):
         create("Humanoid", "silem", starts="lying")
 
 
