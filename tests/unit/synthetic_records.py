@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from silem import bodies, files, paths
 from silem.config import RunConfig
@@ -179,3 +180,8 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
             stats |= {"disc_reward": 450 * share[i] + 12 * rng.normal(), "disc_loss": 1.2}
         rows.append(curve.row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
     return curve.to_csv(np.array(rows))
+
+
+def study(case: str) -> pytest.MarkDecorator:
+    """Let a test meet one of its module's studies (see the fixture `frame`)."""
+    return pytest.mark.parametrize("frame", [case], indirect=True)

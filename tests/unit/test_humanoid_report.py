@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -74,28 +73,6 @@ def make(case: str, folder: Path) -> pd.DataFrame:
         return results.load_records("humanoids", "book")
 
 
-@pytest.fixture(scope="module")
-def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[pd.DataFrame, Path]]:
-    folders = {case: tmp_path_factory.mktemp("study") for case in CASES}
-    return {case: (make(case, folder), folder) for case, folder in folders.items()}
-
-
-@pytest.fixture
-def frame(
-    request: pytest.FixtureRequest,
-    studies: dict[str, tuple[pd.DataFrame, Path]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> Iterator[pd.DataFrame]:
-    """The study named by the test's parameter, or the whole one."""
-    table, folder = studies[getattr(request, "param", "whole")]
-    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-    yield table
-
-
-def study(case: str) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("frame", [case], indirect=True)
-
-
 # ---------------------------------------------------------------- figures
 
 
@@ -147,7 +124,7 @@ def test_scores_at_the_foot_of_their_scale_are_shown_enlarged(
     assert dashes == [1, 0]  # PPO's level is off the enlarged scale
 
 
-@study("single")
+@synthetic.study("single")
 def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
     score = figures.humanoid_scores(frame).axes[0]
     marks = [line for line in score.lines if line.get_marker() == style.METHODS["silem"].marker]
@@ -155,7 +132,7 @@ def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
     assert texts(score.figure).count("n=1") == 12
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
     frame: pd.DataFrame,
 ) -> None:
@@ -170,7 +147,7 @@ def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
     assert "another number of iterations" in footer(figure)
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
     figure = figures.learning_curves(frame)
     by_title = {axes.get_title(loc="left"): axes for axes in figure.axes[:3]}
@@ -211,7 +188,7 @@ def test_affine_transforms_shows_the_best_ten(
     assert np.array_equal(thin[0].get_ydata(), offsets[:3])
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_a_run_of_another_length_is_dashed_in_the_affine_transforms(frame: pd.DataFrame) -> None:
     figure = figures.affine_transforms(frame, "scale")
     drawn = lines_at(figure.axes[0], style.body_color(1, 2))
@@ -269,7 +246,7 @@ def test_humanoid_features_are_named_with_their_units() -> None:
 # ---------------------------------------------------------------- tables
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_tables_tell_runs_of_other_lengths_apart(frame: pd.DataFrame) -> None:
     cells = tables.cell_table(frame).data
     assert len(cells) == 18 + 3

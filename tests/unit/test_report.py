@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib as mpl
@@ -52,28 +51,6 @@ def make(case: str, folder: Path) -> pd.DataFrame:
         elif case == "tiny":
             synthetic.write_study("tiny")
         return results.load_records("halfcheetah", "tiny" if case == "tiny" else "book")
-
-
-@pytest.fixture(scope="module")
-def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[pd.DataFrame, Path]]:
-    folders = {case: tmp_path_factory.mktemp("study") for case in CASES}
-    return {case: (make(case, folder), folder) for case, folder in folders.items()}
-
-
-@pytest.fixture
-def frame(
-    request: pytest.FixtureRequest,
-    studies: dict[str, tuple[pd.DataFrame, Path]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> Iterator[pd.DataFrame]:
-    """The study named by the test's parameter, or the whole one."""
-    table, folder = studies[getattr(request, "param", "whole")]
-    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-    yield table
-
-
-def study(case: str) -> pytest.MarkDecorator:
-    return pytest.mark.parametrize("frame", [case], indirect=True)
 
 
 # ---------------------------------------------------------------- figures
@@ -124,7 +101,7 @@ def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> N
     assert "not evidence" not in text
 
 
-@study("tiny")
+@synthetic.study("tiny")
 @pytest.mark.parametrize("name", FIGURES)
 def test_figures_of_toy_budgets_warn(name: str, frame: pd.DataFrame) -> None:
     assert footer(getattr(figures, name)(frame)).startswith("not evidence: budget tiny")
@@ -152,7 +129,7 @@ def test_figure_2b_draws_the_bootstrap_interval(frame: pd.DataFrame) -> None:
     assert values.min() - 1e-9 <= low < values.mean() < high <= values.max() + 1e-9
 
 
-@study("single")
+@synthetic.study("single")
 def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> None:
     figure = figures.normalised_scores(frame)
     for axes in figure.axes:
@@ -167,7 +144,7 @@ def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> Non
     assert "one trial" in footer(figure)
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) -> None:
     words = texts(figures.normalised_scores(frame))
     assert words.count("no run") == 2  # SILEM-minus on HC2, in both panels
@@ -175,14 +152,14 @@ def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) ->
     assert {"n=1", "n=3"} <= set(words)
 
 
-@study("bad expert")
+@synthetic.study("bad expert")
 def test_an_expert_below_zero_is_no_scale(frame: pd.DataFrame) -> None:
     words = texts(figures.normalised_scores(frame))
     assert words.count("expert's return ≤ 0") == 2 * 3
     assert any(word.startswith("HC2\nexpert −1,") for word in words)
 
 
-@study("empty")
+@synthetic.study("empty")
 def test_figures_without_any_run_are_all_empty_slots(frame: pd.DataFrame) -> None:
     assert texts(figures.normalised_scores(frame)).count("no run") == 18
     assert texts(figures.experts(frame)).count("no run") == 18
@@ -289,7 +266,7 @@ def test_table_1_puts_ours_beside_the_papers(frame: pd.DataFrame) -> None:
     assert f"{tables.number(ours.min())} to {tables.number(ours.max())}" in page
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_cell_table_has_a_row_for_every_planned_cell(frame: pd.DataFrame) -> None:
     table = tables.cell_table(frame).data
     assert len(table) == 16
@@ -320,7 +297,7 @@ def test_body_table_shows_what_sets_bodies_apart() -> None:
     assert float(table.loc["HC2", "mass (kg)"]) > float(table.loc["HC0", "mass (kg)"])
 
 
-@study("partial")
+@synthetic.study("partial")
 def test_trace_lists_every_run_with_the_command_that_reruns_it(frame: pd.DataFrame) -> None:
     shown = figures.runs_of("normalised_scores", frame)
     page = provenance.trace(shown).data
@@ -348,7 +325,7 @@ def test_trace_names_every_commit_and_says_where_code_was_changed(
     assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb with uncommitted changes"
 
 
-@study("empty")
+@synthetic.study("empty")
 def test_trace_of_no_runs_lists_what_to_make(frame: pd.DataFrame) -> None:
     page = provenance.trace(frame).data
     assert "0 runs" in page and "python -m silem run --body HC0 --method ppo" in page
