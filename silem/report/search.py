@@ -14,6 +14,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from silem import bodies, files, paths
 from silem.errors import SilemError, choose
@@ -29,8 +30,7 @@ SETTINGS = {
     "humanoids": {
         "learning_rate": "rate of PPO",
         "clip_range": "clip range",
-        "n_epochs": "epochs",
-        "minibatch_size": "minibatch",
+        "passes": "epochs × minibatch",
         "log_std_init": "first std",
         "starts": "starts",
     }
@@ -72,6 +72,8 @@ def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame
     path = paths.REPO / "data" / "search" / f"{family}.json"
     rows = []
     for entry in files.read_json(path):
+        if "n_epochs" in entry:
+            entry["passes"] = f"{entry['n_epochs']} × {entry['minibatch_size']}"
         wanted = {"name", "body", "method", "columns", "rows", *settings}
         if missing := wanted - entry.keys():
             raise SilemError(f"{path.name}: an entry lacks {', '.join(sorted(missing))}")
@@ -107,12 +109,13 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     ordered = frame.join(last).sort_values(
         ["body", "method", "return_mean"], ascending=[True, True, False]
     )
-    varied = [name for name in frame.attrs["settings"] if _varies(frame[name])]
+    varied = [n for n in frame.attrs["settings"] if n != "schedule" and _varies(frame[n])]
     rows = []
     for run in ordered.to_dict("records"):
-        row = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        names = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        row = {name: text for name, text in names.items() if _varies(frame[name])}
         row |= {frame.attrs["settings"][name]: _written(name, run[name]) for name in varied}
-        row["iterations made"] = style.number(run["iteration"])
+        row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in _LAST.items():
             if last.get(name, pd.Series()).notna().any():
                 row[heading] = tables.number(run[name], digits)
@@ -137,8 +140,7 @@ def curves(
     Raises:
         SilemError: There is no such quantity, or no such column.
     """
-    for quantity in quantities:
-        choose("quantity", quantity, QUANTITIES)
+    titles = [QUANTITIES[choose("quantity", name, QUANTITIES)] for name in quantities]
     usual = _usual(frame, choose("column", colored, ("method", *frame.attrs["settings"])))
     names = sorted(frame["body"].unique())
     n_most = int(frame["body"].value_counts().max())
@@ -153,10 +155,13 @@ def curves(
             for axes, quantity in zip(column, quantities, strict=True):
                 _panel(axes, looks, quantity)
             column[-1].set_xlabel("iteration")
-            below = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.3)}
-            column[-1].legend(**below, fontsize=8, handlelength=3.2)
-        for axes, quantity in zip(grid[:, 0], quantities, strict=True):
-            axes.set_ylabel(QUANTITIES[quantity])
+            below = ScaledTranslation(0, -0.42, figure.dpi_scale_trans)
+            column[-1].legend(
+                loc="upper left", bbox_to_anchor=(0, 0), borderaxespad=0, fontsize=8,
+                bbox_transform=column[-1].transAxes + below, handlelength=3.2,
+            )  # fmt: skip
+        for axes, title in zip(grid[:, 0], titles, strict=True):
+            axes.set_ylabel(title)
         figure.align_ylabels(grid[:, 0])
         unless = ", ".join(
             f"{frame.attrs['settings'][k]} {_written(k, v)}" for k, v in usual.items()
@@ -244,7 +249,6 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
 
 
 _COMPARED = {
-    "return": ("return_mean", 0),
-    "reward of D": ("disc_reward", 0),
+    "return": ("return_mean", 0), "reward of D": ("disc_reward", 0),
     "speed (m/s)": ("speed_m_s", 2),
-}
+}  # fmt: skip

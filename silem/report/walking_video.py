@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from IPython.display import HTML, display
-from PIL import Image
+from tqdm import tqdm
 
+from silem import seeding
+from silem.envs import MujocoCamera, MujocoVecEnv
+from silem.envs.mujoco import body_of
 from silem.report import notebook, rendering, results, style
+from silem.report.motion_video import STATES_PER_PICTURE
 from silem.report.video import Clip, side_by_side
 from silem.study.policies import load_policy
 from silem.study.record import POLICY
@@ -20,7 +24,7 @@ METHODS = ("silem", "silem-minus", "tpil", "peng20", "ppo")
 """The methods that are filmed, in their order on the page."""
 
 _N_COLUMNS = 3
-_SIZE = (320, 240)  # of one clip, in pixels: half of what the camera takes
+_WIDTH, _HEIGHT = 320, 300  # pixels of one clip
 _GAP = 8
 
 
@@ -36,7 +40,7 @@ def show(
     says when that was. What cannot be filmed is named instead.
 
     Args:
-        groups: Tables of runs by what to call them; "" for the only one.
+        groups: Tables of runs by what to call them, "" for an only one.
         body: The body.
         duration_s: Simulated time to film, seconds.
         methods: The methods.
@@ -47,22 +51,57 @@ def show(
     clips, absent = {}, []
     for name, frame in groups.items():
         for method in methods:
-            label = " ".join([style.method(method, "").label, name]).strip()
+            label = ", ".join(filter(None, [_short(method), name]))
             run = best(frame, method, body)
             if run is None:
                 absent.append(label)
                 continue
             if run["stand_in"]:
-                label += f" ({run['n_iterations']:,} iterations)"
-            clip = _filmed(str(run["run_id"]), duration_s)
-            seconds = clip.duration_s
-            fell = round(seconds, 2) < round(duration_s, 2)
-            clips[f"{label}: falls after {seconds:.1f} s" if fell else label] = clip
+                label += f", {run['n_iterations']:,} iterations"
+            clip = film(str(run["run_id"]), duration_s)
+            fell = round(duration_s - clip.duration_s, 2) > 0
+            clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
     if clips:
         text = f"{body}, best trials, in real time: {' | '.join(clips)}"
         notebook.play(grid(list(clips.values()), list(clips)), text)
     if absent:
-        _note(f"No finished run on {body} yet of: {', '.join(absent)}.")
+        _note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+
+
+def film(run_id: str, duration_s: float, seed: int = 0) -> Clip:
+    """Film a humanoid's policy from the start of an episode, acting stochastically.
+
+    The clip ends where the episode does, if that comes first.
+
+    Args:
+        run_id: A finished run.
+        duration_s: Simulated time to film, seconds.
+        seed: Seed of the start state and of the policy's random numbers.
+
+    Raises:
+        SilemError: There is no such run, its policy is missing, or nothing can be drawn offscreen.
+    """
+    record = results.find(run_id)
+    body, policy = body_of(record.run_config().learner), load_policy(record)
+    if hasattr(policy, "reseed"):
+        policy.reseed(seeding.child_seed(seed, "video policy"))
+    env = MujocoVecEnv(body, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    camera = MujocoCamera(env.simulation, _WIDTH, _HEIGHT)
+    try:
+        observations: Any = env.reset()
+        pictures = [camera.picture().copy()]
+        n_steps = round(duration_s / body.control_step_s)
+        for step in tqdm(range(1, n_steps), desc=f"filming {run_id}", unit="step"):
+            actions, _ = policy.predict(observations, deterministic=False)
+            observations, _, dones, _ = env.step(actions)
+            if dones[0]:  # the environment stands at its next start already
+                break
+            if step % STATES_PER_PICTURE == 0:
+                pictures.append(camera.picture().copy())
+    finally:
+        camera.close()
+        env.close()
+    return Clip(np.stack(pictures), 1 / (STATES_PER_PICTURE * body.control_step_s))
 
 
 def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:
@@ -102,16 +141,8 @@ def grid(clips: Sequence[Clip], labels: Sequence[str], n_columns: int = _N_COLUM
     return Clip(np.concatenate(stacked, axis=1), clips[0].frames_per_s)
 
 
-def _filmed(run_id: str, duration_s: float) -> Clip:
-    """Film a run's policy, at half of the camera's size."""
-    record = results.find(run_id)
-    learner = record.run_config().learner
-    clip = rendering.rollout(learner, load_policy(record), duration_s=duration_s)
-    small = [
-        np.asarray(Image.fromarray(frame).resize(_SIZE, Image.Resampling.LANCZOS))
-        for frame in clip.frames
-    ]
-    return replace(clip, frames=np.stack(small))
+def _short(method: str) -> str:
+    return style.method(method, "").label.partition(",")[0]
 
 
 def _note(text: str) -> None:

@@ -56,7 +56,9 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
             Line2D([], [], color=look.color, lw=2.2, label=look.label)
             for look in (style.method(name, original) for name in drawn)
         ]
-        for line, (name, frame) in zip(_LINES, groups.items(), strict=False):
+        for line, (name, frame) in zip(
+            _LINES, groups.items() if len(groups) > 1 else (), strict=False
+        ):
             label = f"{name}: {len(frame)}" if len(frame) else f"{name}: no run"
             handles.append(Line2D([], [], color=style.MUTED, label=label, **line))
         figure.legend(handles=handles, loc="outside upper left", ncols=2)
