@@ -13,7 +13,7 @@ from silem.bodies.body import (
     Skeleton,
 )
 from silem.bodies.describe import describe
-from silem.bodies.registry import get, names, register
+from silem.bodies.registry import get, names, of_kind, register
 
 __all__ = [
     "AliveRule",
@@ -26,6 +26,7 @@ __all__ = [
     "describe",
     "get",
     "names",
+    "of_kind",
     "register",
 ]
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import pybullet
 
-from silem.bodies import registry
-from silem.bodies.body import Body, BulletBody
+from silem.bodies.body import BulletBody
 from silem.errors import SilemError
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
@@ -21,18 +20,6 @@ _FLAGS = (
     | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
     | pybullet.URDF_GOOGLEY_UNDEFINED_COLORS
 )
-
-
-def body_of(body: Body | str) -> BulletBody:
-    """Return a body, given itself or its name, as one that PyBullet simulates.
-
-    Raises:
-        SilemError: If there is no such body, or another simulator steps it.
-    """
-    found = registry.get(body) if isinstance(body, str) else body
-    if not isinstance(found, BulletBody):
-        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by bullet")
-    return found
 
 
 def load(body: BulletBody, client: int) -> int:
@@ -66,7 +53,7 @@ def link_names(robot: int, client: int) -> dict[str, int]:
 
 
 @contextlib.contextmanager
-def _model_file(body: Body) -> Iterator[str]:
+def _model_file(body: BulletBody) -> Iterator[str]:
     """Give the body's model as a file, the only form in which PyBullet loads it."""
     handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
     try:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 from silem.bodies.body import Body
 from silem.errors import SilemError, choose
+
+Kind = TypeVar("Kind", bound=Body)
 
 _BODIES: dict[str, Body] = {}
 
@@ -27,6 +31,23 @@ def get(name: str) -> Body:
         SilemError: If there is no such body; the message lists those there are.
     """
     return _BODIES[choose("body", name, _BODIES)]
+
+
+def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
+    """Return a body, given itself or its name, as one of a simulator's kind.
+
+    Args:
+        body: A body or its name.
+        kind: `BulletBody` or `MujocoBody`.
+
+    Raises:
+        SilemError: If there is no such body, or another simulator steps it.
+    """
+    found = get(body) if isinstance(body, str) else body
+    if not isinstance(found, kind):
+        wanted = kind.__name__.removesuffix("Body").lower()
+        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by {wanted}")
+    return found
 
 
 def names(family: str | None = None) -> list[str]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 
 MAX_STEPS = 1000
 
@@ -32,6 +32,13 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     if not math.isfinite(float(array.sum())):
         raise SilemError("actions contain NaN or infinity")
     return array
+
+
+class Pictures(Protocol):
+    """A camera."""
+
+    def picture(self) -> np.ndarray:
+        """Return a picture (H, W, 3), uint8."""
 
 
 class BatchedEnv(VecEnv):
@@ -62,6 +69,8 @@ class BatchedEnv(VecEnv):
         self.max_steps = int(max_steps)
         self._generators: list[np.random.Generator] = []
         self._built_at = time.perf_counter()
+        self._actions: np.ndarray | None = None
+        self._camera: Pictures | None = None
         super().__init__(int(n_envs), *spaces)
         self.seed(seed)
 
@@ -79,6 +88,49 @@ class BatchedEnv(VecEnv):
         root = np.random.SeedSequence(None if seed is None else int(seed))
         self._next_generators = [np.random.default_rng(s) for s in root.spawn(self.num_envs)]
         return [seed] * self.num_envs
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take (E, A) actions for the next `step_wait`.
+
+        Raises:
+            SilemError: If they have another shape or are not finite.
+        """
+        self._actions = check_actions(actions, (self.num_envs, *(self.action_space.shape or ())))
+
+    def _take_actions(self) -> np.ndarray:
+        """Return the actions (E, A) to step with; raises SilemError where there can be no step."""
+        if self._actions is None or not self._is_reset():
+            raise SilemError("step before reset, or step_wait without step_async")
+        actions, self._actions = self._actions, None
+        return actions
+
+    def _is_reset(self) -> bool:
+        """Tell whether there are episodes to go on with."""
+        raise NotImplementedError
+
+    def _make_camera(self) -> Pictures:
+        """Return a camera on the first environment."""
+        raise NotImplementedError
+
+    def render(self, mode: str | None = None) -> np.ndarray:
+        """Return a picture (H, W, 3), uint8, of the first environment.
+
+        Args:
+            mode: "rgb_array" or None, which means the same.
+
+        Raises:
+            SilemError: For any other mode, before the first reset, or where nothing can be drawn.
+        """
+        choose("render mode", mode or "rgb_array", ["rgb_array"])
+        if not self._is_reset():
+            raise SilemError("render before reset")
+        if self._camera is None:
+            self._camera = self._make_camera()
+        return self._camera.picture()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """Return the picture of the first environment, the only one that is drawn."""
+        return [self.render()]
 
     def _since_built_s(self) -> float:
         return time.perf_counter() - self._built_at

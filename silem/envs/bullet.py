@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem.bodies import Body, BulletBody, bullet
-from silem.envs.batched import MAX_STEPS, BatchedEnv, check_actions
+from silem import bodies
+from silem.bodies import Body, BulletBody
+from silem.envs.batched import MAX_STEPS, BatchedEnv
 from silem.envs.rendering import Camera
 from silem.envs.simulator import Simulator
 from silem.envs.tasks import OBSERVATION_BOUND, LocomotionTask, as_observations
-from silem.errors import SilemError, choose
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
 
@@ -64,11 +63,9 @@ class BulletVecEnv(BatchedEnv):
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self.body = bullet.body_of(body)
+        self.body = bodies.of_kind(body, BulletBody)
         self.render_mode = render_mode
         self.simulators: list[Simulator] = []
-        self._camera: Camera | None = None
-        self._actions: list[list[float]] | None = None
         super().__init__(n_envs, spaces(self.body), seed, max_steps)
 
     def reset(self) -> np.ndarray:
@@ -83,15 +80,6 @@ class BulletVecEnv(BatchedEnv):
         self._actions = None
         return np.stack([self._begin(index) for index in range(self.num_envs)])
 
-    def step_async(self, actions: np.ndarray) -> None:
-        """Take (E, A) actions for the next `step_wait`.
-
-        Raises:
-            SilemError: If they have another shape or are not finite.
-        """
-        shape = (self.num_envs, self.body.action_size)
-        self._actions = check_actions(actions, shape).tolist()
-
     def step_wait(self) -> VecEnvStepReturn:
         """Step every environment by one control step.
 
@@ -101,9 +89,7 @@ class BulletVecEnv(BatchedEnv):
         Raises:
             SilemError: If the environments were not reset, or there is no action.
         """
-        if not self.simulators or self._actions is None:
-            raise SilemError("step before reset, or step_wait without step_async")
-        actions, self._actions = self._actions, None
+        actions = self._take_actions().tolist()
         # One kind of work after the other, so that its code is still in the processor's caches.
         for simulator, action in zip(self.simulators, actions, strict=True):
             simulator.advance(action)
@@ -119,31 +105,17 @@ class BulletVecEnv(BatchedEnv):
                 observations[index] = self._begin(index)
         return observations, np.array(rewards, dtype=np.float32), np.array(dones), infos
 
-    def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment.
-
-        Args:
-            mode: "rgb_array" or None, which means the same.
-
-        Raises:
-            SilemError: For any other mode, or before the first reset.
-        """
-        choose("render mode", mode or "rgb_array", ["rgb_array"])
-        if not self.simulators:
-            raise SilemError("render before reset")
-        if self._camera is None:
-            self._camera = Camera(self.simulators[0])
-        return self._camera.picture()
-
-    def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return the picture of the first environment, the only one that is drawn."""
-        return [self.render()]
-
     def close(self) -> None:
         """Disconnect all clients; closing twice is allowed."""
         for simulator in self.simulators:
             simulator.close()
         self.simulators, self._camera = [], None
+
+    def _is_reset(self) -> bool:
+        return bool(self.simulators)
+
+    def _make_camera(self) -> Camera:
+        return Camera(self.simulators[0])
 
     def _rebuild(self) -> None:
         """Build all clients afresh, with the random streams of the latest seed."""

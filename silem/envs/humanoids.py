@@ -10,11 +10,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from silem.bodies import Body, MujocoBody
 from silem.envs import walking
-from silem.envs.batched import MAX_STEPS, BatchedEnv, check_actions
+from silem.envs.batched import MAX_STEPS, BatchedEnv
 from silem.envs.mujoco import Simulation, StartStates, body_of, start_state
 from silem.envs.mujoco_camera import MujocoCamera
 from silem.envs.walking import Reading
-from silem.errors import SilemError, choose
+from silem.errors import SilemError
 from silem.skeleton.features import FEATURES, skeletal_features
 
 
@@ -71,10 +71,8 @@ class MujocoVecEnv(BatchedEnv):
         self.render_mode = render_mode
         if n_threads < 1 or speed_m_s <= 0:
             raise SilemError(f"{n_threads} threads, {speed_m_s} m/s: both must be above 0")
-        self._speed_m_s, self._starts, self._n_threads = speed_m_s, starts, n_threads
-        self._actions: np.ndarray | None = None
-        self._camera: MujocoCamera | None = None
-        self._is_reset = False
+        self._speed_m_s, self._starts = speed_m_s, starts
+        self._has_episodes = False
         super().__init__(n_envs, spaces(self.body), seed, max_steps)
         self.simulation = Simulation(self.body, self.num_envs, min(n_threads, self.num_envs))
         self._length = np.zeros(self.num_envs, dtype=int)
@@ -92,20 +90,11 @@ class MujocoVecEnv(BatchedEnv):
             self._generators, self._next_generators = self._next_generators, []
         for index in range(self.num_envs):
             self._begin(index)
-        self._actions, self._is_reset = None, True
+        self._actions, self._has_episodes = None, True
         reading = self.simulation.read()
         self.skeletal_features = features_of(reading)
         self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
         return walking.observe(reading, self.skeletal_features)
-
-    def step_async(self, actions: np.ndarray) -> None:
-        """Take (E, A) actions for the next `step_wait`; they are clipped to -1..1.
-
-        Raises:
-            SilemError: If they have another shape or are not finite.
-        """
-        shape = (self.num_envs, self.body.action_size)
-        self._actions = check_actions(actions, shape).clip(-1.0, 1.0)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step every environment by one control step.
@@ -116,9 +105,7 @@ class MujocoVecEnv(BatchedEnv):
         Raises:
             SilemError: If the environments were not reset, or there is no action.
         """
-        if not self._is_reset or self._actions is None:
-            raise SilemError("step before reset, or step_wait without step_async")
-        actions, self._actions = self._actions, None
+        actions = self._take_actions().clip(-1.0, 1.0)
         failed = np.array(self.simulation.advance(actions))
         reading = self.simulation.read()
         rewards = walking.rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
@@ -171,26 +158,16 @@ class MujocoVecEnv(BatchedEnv):
         self.simulation.place(index, qpos, qvel)
         self._length[index], self._return[index], self._start_xy[index] = 0, 0.0, qpos[:2]
 
-    def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment.
+    def _is_reset(self) -> bool:
+        return self._has_episodes
 
-        Args:
-            mode: "rgb_array" or None, which means the same.
-
-        Raises:
-            SilemError: For any other mode, before the first reset, or without offscreen rendering.
-        """
-        choose("render mode", mode or "rgb_array", ["rgb_array"])
-        if not self._is_reset:
-            raise SilemError("render before reset")
-        if self._camera is None:
-            self._camera = MujocoCamera(self.simulation)
-        return self._camera.picture()
+    def _make_camera(self) -> MujocoCamera:
+        return MujocoCamera(self.simulation)
 
     def close(self) -> None:
         """End the threads and the renderer; closing twice is allowed."""
         self.simulation.close()
-        if self._camera is not None:
+        if isinstance(self._camera, MujocoCamera):
             self._camera.close()
         self._camera = None
 

@@ -12,7 +12,6 @@ import numpy as np
 from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs.walking import Reading
-from silem.errors import SilemError
 from silem.skeleton.features import Landmarks
 
 JOINT_NOISE_RAD = 0.02  # hinges start within +- this of the standing pose
@@ -23,15 +22,8 @@ StartStates = tuple[np.ndarray, np.ndarray]
 
 
 def body_of(body: Body | str) -> MujocoBody:
-    """Return a body, given itself or its name, as one that MuJoCo simulates.
-
-    Raises:
-        SilemError: If there is no such body, or another simulator steps it.
-    """
-    found = bodies.get(body) if isinstance(body, str) else body
-    if not isinstance(found, MujocoBody):
-        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by mujoco")
-    return found
+    """Return a body, given itself or its name; raises SilemError where MuJoCo does not step it."""
+    return bodies.of_kind(body, MujocoBody)
 
 
 class Simulation:

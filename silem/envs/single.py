@@ -7,7 +7,8 @@ from typing import Any, SupportsFloat
 import gymnasium
 import numpy as np
 
-from silem.bodies import bullet
+from silem import bodies
+from silem.bodies import BulletBody
 from silem.envs.batched import check_actions
 from silem.envs.bullet import spaces, start_angles
 from silem.envs.rendering import Camera
@@ -35,7 +36,7 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the body or the render mode is unknown.
         """
-        self.body = bullet.body_of(body)
+        self.body = bodies.of_kind(body, BulletBody)
         if render_mode is not None:
             choose("render mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
