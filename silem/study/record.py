@@ -16,7 +16,9 @@ from silem.errors import SilemError, choose
 
 RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
-PACKAGES = ("gymnasium", "numpy", "pybullet", "stable-baselines3", "torch")
+PACKAGES = (
+    "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
