@@ -91,8 +91,7 @@ def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
                     "gait": found["gait"],
                 }
             )
-    columns = list(rows[0]) if rows else ["body", "method", "gait"]
-    table = pd.DataFrame(rows, columns=columns)
+    table = pd.DataFrame(rows or [{"body": "no run", "method": tables.DASH, "gait": tables.DASH}])
     return table.drop(columns="runs", errors="ignore") if len(groups) == 1 else table
 
 
@@ -158,7 +157,7 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
             row[heading] = tables.number(part[name], digits)
         row["reward of D per step"] = tables.number(part["disc_reward"] / part["episode_length"], 2)
         rows.append(row)
-    return pd.DataFrame(rows, columns=list(rows[0]) if rows else ["iterations"])
+    return pd.DataFrame(rows or [{"iterations": "no run"}])
 
 
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03

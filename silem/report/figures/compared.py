@@ -47,7 +47,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
                     color = style.method(run.method).color
                     axes.plot(curve["iteration"], curve[quantity], color=color, **line)
             if not axes.lines:
-                axes.set_yticks([])
+                axes.set(xticks=[], yticks=[])
                 middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center"}
                 axes.text(0.5, 0.5, "no run", color=style.MUTED, **middle)
         for axes in grid[1]:
@@ -56,10 +56,8 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
             Line2D([], [], color=look.color, lw=2.2, label=look.label)
             for look in (style.method(name, original) for name in drawn)
         ]
-        for line, (name, frame) in zip(
-            _LINES, groups.items() if len(groups) > 1 else (), strict=False
-        ):
-            label = f"{name}: {len(frame)}" if len(frame) else f"{name}: no run"
+        for line, (name, frame) in zip(_LINES, groups.items(), strict=False):
+            label = f"{name}: {style.trials(len(frame))}"
             handles.append(Line2D([], [], color=style.MUTED, label=label, **line))
         figure.legend(handles=handles, loc="outside upper left", ncols=2)
         budget = results.context(first)[1]

@@ -1,0 +1,96 @@
+"""The page about walking, on a made-up study of the humanoids and without any run."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+import synthetic_records as synthetic
+from conftest import NOTEBOOKS, Execute, add_untrained_policy, glue_roles, output, said
+from test_execution import words
+from test_structure import prose
+
+from silem.config import RunConfig
+from silem.report import claims, results, walking
+from silem.report.rendering import why_no_pictures
+from silem.study.studies import cells
+
+NAME = "12_walking"
+FIGURES = ("fig-3b", "curves", "long-curve", "fig-4a", "fig-4b", "starts-curves")
+
+
+def planned(study: str, method: str, body: str) -> RunConfig:
+    (cell,) = [c for c in cells(study) if (c.method, c.body) == (method, body)]
+    return cell.config("book", seed=0)
+
+
+def shortened(config: RunConfig) -> RunConfig:
+    return dataclasses.replace(config, budget=config.budget.with_iterations(250))
+
+
+@pytest.fixture(scope="module")
+def humanoids(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """SILEM and PPO on Humanoid as planned; short runs on Atlas, and from other starts."""
+    folder = tmp_path_factory.mktemp("humanoids")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SILEM_DATA_DIR", str(folder))
+        synthetic.write_record(planned("humanoids", "silem", "Humanoid"), 840.0)
+        synthetic.write_record(planned("humanoids", "ppo", "Humanoid"), 860.0)
+        synthetic.write_record(shortened(planned("humanoids", "silem", "Atlas")), 60.0)
+        starts = shortened(planned("demonstration-starts", "silem", "Humanoid"))
+        synthetic.write_record(starts, 90.0)
+        add_untrained_policy(planned("humanoids", "silem", "Humanoid"))
+    return folder
+
+
+@pytest.fixture
+def data_dir(humanoids: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stand in for the folder of the other pages' made-up study."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(humanoids))
+    return humanoids
+
+
+def test_the_page_types_no_results() -> None:
+    (path,) = [path for path in NOTEBOOKS if path.stem == NAME]
+    assert re.findall(r"\d+\.\d+|\b\d{3,}\b", prose(path)) == []
+
+
+def test_walking(execute: Execute) -> None:
+    page = execute(NAME, budget="book", video_s=0.1)
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    frame = results.load_records("humanoids", "book")
+    expected = walking.cell_sentences(frame, "x", "silem", "Humanoid")["x_steps"]
+    assert int(spoken["Humanoid_steps"].replace(",", "")) == expected
+    assert spoken["HumanoidR_steps"] == "–"
+    assert [int(spoken[f"n_{name}"]) for name in ("cells", "walk", "fall")] == [3, 2, 1]
+    for cell_id in FIGURES:
+        assert output(page, cell_id).startswith("<svg"), cell_id
+    assert "Atlas SILEM 250 1 " in words(output(page, "walks"))
+    assert "demonstration's states 250 1 " in words(output(page, "starts"))
+    assert "2,000" in words(output(page, "long"))
+    claimed = words(output(page, "claims"))
+    assert all(claim.text in claimed for claim in claims.of("humanoids"))
+    assert int(spoken["n_undecided"]) == int(spoken["n_claims"])  # one trial decides nothing
+    film = output(page, "film-Humanoid")
+    if why_no_pictures("Humanoid"):
+        assert "No videos of Humanoid" in words(film)
+    else:
+        assert film.count("data:video/mp4;base64,") == 1
+        assert "best trials, in real time: SILEM No finished run" in words(film)
+        assert "No finished run on Atlas yet" in words(output(page, "film-Atlas"))
+
+
+def test_without_any_run_the_page_says_so(execute: Execute) -> None:
+    page = execute(NAME, budget="tiny")
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    assert spoken["n_cells"] == "0"
+    assert {spoken["longest"], spoken["Atlas_steps"], spoken["long_iterations"]} == {"–"}
+    assert "0 runs" in words(output(page, "records"))
+    for cell_id in FIGURES:
+        assert output(page, cell_id).startswith("<svg"), cell_id
+    for cell_id in ("walks", "long", "starts"):
+        assert "no run" in words(output(page, cell_id))

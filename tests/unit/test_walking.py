@@ -1,0 +1,187 @@
+"""What walks and what does not, in numbers, in words, in curves and on film, from made-up runs."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import synthetic_records as synthetic
+from drawn import assert_readable, footer, texts
+
+from silem.config import RunConfig
+from silem.errors import SilemError
+from silem.report import results, style, tables, walking, walking_video
+from silem.report.claims.rules import MARGIN
+from silem.report.figures.compared import compared_curves
+from silem.report.video import Clip
+from silem.study.studies import cells
+
+SHORT = 250
+
+
+def planned(method: str, body: str, seed: int = 0) -> RunConfig:
+    (cell,) = [c for c in cells("humanoids") if (c.method, c.body) == (method, body)]
+    return cell.config("book", seed)
+
+
+def shortened(config: RunConfig) -> RunConfig:
+    return dataclasses.replace(config, budget=config.budget.with_iterations(SHORT))
+
+
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """Two trials of SILEM on Humanoid that walk, a short one on Atlas that falls, PPO, random."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SILEM_DATA_DIR", str(tmp_path_factory.mktemp("data")))
+        for seed, level in enumerate((840.0, 870.0)):
+            synthetic.write_record(planned("silem", "Humanoid", seed), level)
+        synthetic.write_record(shortened(planned("silem", "Atlas")), 60.0)
+        synthetic.write_record(shortened(planned("ppo", "Humanoid")), 300.0)
+        synthetic.write_record(planned("random", "Humanoid"), 4.0)
+        loaded = results.load_records("humanoids", "book")
+        # what reads the runs' files later still has to find them
+        loaded.attrs["folder"] = str(Path(loaded["folder"].iloc[0]).parents[2])
+        return loaded
+
+
+@pytest.fixture(autouse=True)
+def data_dir(frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", frame.attrs["folder"])
+
+
+@pytest.fixture
+def empty() -> pd.DataFrame:
+    return results.load_records("humanoids", "paper")
+
+
+@pytest.mark.parametrize(
+    ("survived", "speed_m_s", "expected"),
+    [
+        (1.0, 1.6, walking.WALKS),
+        (1 - MARGIN, 1.6 * (1 - MARGIN) + 1e-9, walking.WALKS),
+        (1.0, 1.0, walking.SLOW),
+        (1.0, 0.1, walking.STANDS),
+        (0.89, 1.6, walking.FALLS),  # however fast it was until then
+        (0.05, 0.0, walking.FALLS),
+    ],
+)
+def test_a_gait_is_survival_first_and_then_speed(
+    survived: float, speed_m_s: float, expected: str
+) -> None:
+    assert walking.gait(survived, speed_m_s) == expected
+
+
+def test_gaits_are_means_over_trials_and_keep_lengths_apart(frame: pd.DataFrame) -> None:
+    found = walking.gaits(frame).set_index(["body", "method"])
+    assert set(found.index) == {("Humanoid", "silem"), ("Humanoid", "ppo"), ("Atlas", "silem")}
+    walker = found.loc["Humanoid", "silem"]
+    trials = results.scores(frame, "silem", "Humanoid", "speed_m_s")
+    assert walker["trials"] == len(trials) == 2
+    assert walker["speed_m_s"] == pytest.approx(trials.mean())
+    assert walker["speed_share"] == pytest.approx(trials.mean() / 1.6)
+    assert walker["gait"] == walking.WALKS
+    assert walker["survived_s"] == pytest.approx(25 * walker["survived"])  # 1000 steps of 0.025 s
+    faller = found.loc["Atlas", "silem"]
+    assert (faller["n_iterations"], faller["stand_in"], faller["gait"]) == (SHORT, True, "falls")
+
+
+def test_the_table_names_its_groups_only_where_there_are_two(frame: pd.DataFrame) -> None:
+    one, two = walking.gait_table({"": frame}), walking.gait_table({"here": frame, "there": frame})
+    assert "runs" not in one
+    assert list(two["runs"]) == ["here"] * len(one) + ["there"] * len(one)
+    row = one[(one["body"] == "Humanoid") & (one["method"] == "SILEM")].iloc[0]
+    seconds, speed = float(row["seconds"]), float(row["speed (m/s)"])
+    assert float(row["ground covered, about (m)"]) == pytest.approx(seconds * speed, rel=0.01)
+
+
+def test_sentences_count_gaits_and_name_the_longest(frame: pd.DataFrame) -> None:
+    said = walking.sentences(frame)
+    assert [said[f"n_{name}"] for name in ("cells", "walk", "fall")] == [3, 1, 2]
+    assert said["longest"] == "SILEM on Humanoid"
+    assert said["n_curves"] == 4  # every run but the random policy's
+    atlas = walking.sentences(results.select(frame, ["silem"], ["Atlas"]))
+    assert atlas["longest"] == f"SILEM on Atlas ({SHORT} iterations)"
+
+
+def test_a_cell_speaks_through_its_stand_ins_only_without_planned_runs(frame: pd.DataFrame) -> None:
+    said = walking.cell_sentences(frame, "x", "ppo", "Humanoid")
+    assert said["x_iterations"] == SHORT
+    both = frame.copy()
+    both.attrs = frame.attrs
+    extra = frame[(frame["body"] == "Atlas")].assign(body="Humanoid", upright=0.0)
+    both = pd.concat([both, extra], ignore_index=True)
+    assert walking.cell_sentences(both, "x", "silem", "Humanoid") == walking.cell_sentences(
+        frame, "x", "silem", "Humanoid"
+    )
+
+
+def test_without_runs_everything_says_so(empty: pd.DataFrame) -> None:
+    said = walking.sentences(empty)
+    assert (said["n_cells"], said["longest"]) == (0, tables.DASH)
+    assert np.isnan(walking.cell_sentences(empty, "x", "silem", "Atlas")["x_steps"])
+    assert list(walking.gait_table({"": empty})["body"]) == ["no run"]
+    assert walking.longest_run(empty, "silem", "Humanoid") == ""
+    assert list(walking.milestones(empty, "silem", "Humanoid")["iterations"]) == ["no run"]
+    figure = compared_curves({"these": empty, "those": empty})
+    assert "no run" in texts(figure)
+    assert_readable(figure)
+
+
+def test_milestones_follow_one_run_to_its_end(frame: pd.DataFrame) -> None:
+    run_id = walking.longest_run(frame, "silem", "Humanoid")
+    runs = results.cell(frame, "silem", "Humanoid")
+    assert run_id == runs.sort_values("return_mean")["run_id"].iloc[-1]
+    table = walking.milestones(frame, "silem", "Humanoid")
+    total = planned("silem", "Humanoid").budget.n_iterations
+    assert table["iterations"].iloc[-1] == style.number(total)
+    lengths = table["steps before a fall"].str.replace(",", "").astype(int)
+    assert lengths.is_monotonic_increasing  # as the made-up curves are
+    last = results.load_curve(run_id).iloc[-4:]
+    ratio = (last["disc_reward"].mean()) / last["episode_length"].mean()
+    assert float(table["reward of D per step"].iloc[-1]) == pytest.approx(ratio, abs=0.02)
+
+
+def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
+    groups = {
+        "silem": results.select(frame, ["silem"], ["Humanoid"]),
+        "ppo": results.select(frame, ["ppo"], ["Humanoid"]),
+    }
+    figure = compared_curves(groups)
+    assert [len(axes.lines) for axes in figure.axes[:3]] == [3, 3, 3]
+    dashes = {line.get_linestyle() for line in figure.axes[0].lines}
+    assert len(dashes) == 2
+    assert "silem: 2 trials" in texts(figure)
+    assert "3 runs at budget book" in footer(figure)
+    assert_readable(figure)
+
+
+def clip(n_frames: int, shade: int) -> Clip:
+    return Clip(np.full((n_frames, 60, 80, 3), shade, np.uint8), 20.0)
+
+
+def test_a_grid_holds_what_ends_early_and_leaves_the_rest_white() -> None:
+    made = walking_video.grid([clip(5, 10), clip(2, 120), clip(3, 200)], ["a", "b", "c"], 2)
+    assert made.frames.shape == (5, 60 + 8 + 60, 80 + 8 + 80, 3)
+    assert (made.frames[4, 40:60, 88:] == 120).all()  # the second clip's last frame
+    assert (made.frames[4, 100:, :80] == 200).all()
+    assert (made.frames[:, 68:, 88:] == 255).all()
+    assert made.frames_per_s == 20.0
+    with pytest.raises(SilemError):
+        walking_video.grid([clip(2, 10)], ["a", "b"])
+
+
+def test_only_runs_with_a_policy_are_filmed(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert walking_video.best(frame, "silem", "Humanoid") is None  # made-up runs have none
+    notes: list[str] = []
+    monkeypatch.setattr(walking_video, "_note", notes.append)
+    monkeypatch.setattr("silem.report.rendering.why_no_pictures", lambda body: "")
+    walking_video.show({"": frame}, "Humanoid", 0.1)
+    assert notes == ["No finished run on Humanoid yet: SILEM; SILEM⁻; TPIL; Peng20; PPO."]
+    monkeypatch.setattr("silem.report.rendering.why_no_pictures", lambda body: "no OpenGL")
+    walking_video.show({"": frame}, "Humanoid", 0.1)
+    assert notes[-1] == "No videos of Humanoid: no OpenGL"
