@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from silem import files, paths
-from silem.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
+from silem.config import DEMONSTRATOR_SEED, HUMAN, TRIAL_SEEDS
 from silem.demonstrations import MANIFEST, Demonstrations
+from silem.envs import walking
 from silem.report import figures, results
 from silem.report.validation import validate
+from silem.skeleton.features import FEATURES
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
 
 DATA = paths.REPO / "data"
@@ -133,7 +135,23 @@ def test_manifest_describes_the_demonstrations(name: str) -> None:
 
 
 @needs_demonstrations
-@pytest.mark.parametrize("name", MANIFEST_CONTENT)
+@pytest.mark.parametrize("name", [name for name, e in MANIFEST_CONTENT.items() if "clip" in e])
+def test_a_clips_entry_says_where_it_is_from(name: str) -> None:
+    entry = MANIFEST_CONTENT[name]
+    assert entry["expert_run_id"] == "" and entry["n_features"] == len(FEATURES)
+    assert entry["source"].startswith("http://mocap.cs.cmu.edu/") and entry["licence"]
+    assert "NSF EIA-0196217" in entry["acknowledgement"]
+    if original := entry.get("retargeted_from"):
+        assert entry["retargeted_from_sha256"] == MANIFEST_CONTENT[original]["sha256"]
+
+
+def test_the_rewards_speed_is_the_demonstrators() -> None:
+    speed_m_s = MANIFEST_CONTENT[HUMAN]["speed_m_s"]
+    assert walking.DEMONSTRATOR_SPEED_M_S == pytest.approx(speed_m_s, abs=5e-4)
+
+
+@needs_demonstrations
+@pytest.mark.parametrize("name", [name for name, e in MANIFEST_CONTENT.items() if "clip" not in e])
 def test_demonstrations_come_from_a_published_expert(name: str) -> None:
     entry = MANIFEST_CONTENT[name]
     record = results.find(entry["expert_run_id"])
