@@ -16,13 +16,15 @@ from silem.envs.walking import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, style, tables
 from silem.report.claims.rules import MARGIN
 
-WALKS, SLOW, STANDS, FALLS = "walks", "goes on, too slowly", "stands", "falls"
+WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
+STANDS, FALLS = "stands", "falls"
 
+_SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
 _TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 
 
 def gait(survived: float, speed_m_s: float) -> str:
-    """Name what a policy does, by the bounds of the scorecard's claims.
+    """Name what a policy does; who stays up and keeps his speed is named by the claims' bounds.
 
     Args:
         survived: Share of an episode's steps before the fall.
@@ -31,7 +33,7 @@ def gait(survived: float, speed_m_s: float) -> str:
     share = speed_m_s / DEMONSTRATOR_SPEED_M_S
     if survived < 1 - MARGIN:
         return FALLS
-    return WALKS if share >= 1 - MARGIN else SLOW if share >= MARGIN else STANDS
+    return next((word for word, least in _SPEEDS.items() if share >= least), STANDS)
 
 
 def gaits(frame: pd.DataFrame) -> pd.DataFrame:
@@ -103,8 +105,8 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     """
     found = gaits(frame)
     said: dict[str, str | float] = {"n_cells": len(found)}
-    for name, word in {"walk": WALKS, "slow": SLOW, "stand": STANDS, "fall": FALLS}.items():
-        said[f"n_{name}"] = int((found["gait"] == word).sum())
+    counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
+    said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
     longest = found.loc[found["survived"].idxmax()] if len(found) else None
     said["longest"] = tables.DASH if longest is None else _name(longest)
     for name in ("survived_s", "speed_m_s", "speed_share"):
@@ -129,6 +131,31 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
     }
 
 
+def early_sentences(frame: pd.DataFrame, method: str, body: str) -> dict[str, float]:
+    """Return how long a cell's longest run stayed up when it was as short as the stand-ins are.
+
+    ``short_iterations`` is the commonest number of iterations of the stand-ins, ``early_steps`` the
+    longest run's steps before a fall up to there, ``late_steps`` up to its end; NaN for unknown.
+    """
+    said = dict.fromkeys(("short_iterations", "early_steps", "late_steps"), math.nan)
+    lengths = frame.loc[frame["stand_in"], "n_iterations"]
+    run_id = longest_run(frame, method, body)
+    if run_id:
+        curve = results.load_curve(run_id)
+        total = curve["iteration"].max()
+        said["late_steps"] = _whole(_just_before(curve, total)["episode_length"])
+        if len(lengths):
+            said["short_iterations"] = short = int(lengths.mode().iloc[0])
+            said["early_steps"] = _whole(_just_before(curve, short)["episode_length"])
+    return said
+
+
+def _just_before(curve: pd.DataFrame, iteration: float) -> pd.Series:
+    """Return a curve's means over the last part of the iterations up to one of them."""
+    span = _SPAN * curve["iteration"].max()
+    return curve[curve["iteration"].between(iteration - span, iteration)].mean()
+
+
 def rises(frame: pd.DataFrame) -> Iterator[float]:
     """Yield by how much each run's return rose: the last tenth of its curve over the one before."""
     for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
@@ -151,7 +178,7 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     curve = results.load_curve(run_id) if run_id else pd.DataFrame({"iteration": []})
     total = curve["iteration"].max()
     for share in _SHARES if run_id else ():
-        part = curve[curve["iteration"].between((share - _SPAN) * total, share * total)].mean()
+        part = _just_before(curve, share * total)
         row = {"iterations": style.number(share * total)}
         for name, (heading, digits) in _MILESTONES.items():
             row[heading] = tables.number(part[name], digits)

@@ -16,7 +16,7 @@ from silem.envs import MujocoCamera, MujocoVecEnv
 from silem.envs.mujoco import body_of
 from silem.report import notebook, rendering, results, style
 from silem.report.motion_video import STATES_PER_PICTURE
-from silem.report.video import Clip, side_by_side
+from silem.report.video import Clip, side_by_side, strip
 from silem.study.policies import load_policy
 from silem.study.record import POLICY
 
@@ -66,6 +66,23 @@ def show(
         notebook.play(grid(list(clips.values()), list(clips)), text)
     if absent:
         _note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+
+
+def show_strip(run_id: str, duration_s: float, n_pictures: int = 6) -> None:
+    """Show equally spaced pictures of a humanoid's policy side by side: a film on paper.
+
+    Args:
+        run_id: A finished run; "" shows nothing but says so.
+        duration_s: Simulated time from the first picture to the last, seconds.
+        n_pictures: How many pictures, fewer if the body falls before there are so many.
+    """
+    if not run_id or POLICY not in results.find(run_id).files:
+        _note("No pictures: there is no policy.")
+    elif why := rendering.why_no_pictures(results.find(run_id).config["body"]):
+        _note(f"No pictures: {why}")
+    else:
+        clip = film(run_id, duration_s)
+        notebook.show_picture(strip(clip, min(n_pictures, len(clip.frames))))
 
 
 def film(run_id: str, duration_s: float, seed: int = 0) -> Clip:

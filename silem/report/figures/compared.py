@@ -33,8 +33,8 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
     Args:
         groups: One to three tables of `results.load_records` by what to call them, all of one body.
     """
-    runs = pd.concat(list(groups.values()), ignore_index=True)
-    drawn = [name for name in style.METHODS if (runs["method"] == name).any()]
+    methods = [name for frame in groups.values() for name in frame["method"]]
+    drawn = [name for name in style.METHODS if name in methods]
     first = next(iter(groups.values()))
     original = results.original_body(first)
     with style.applied():
@@ -61,7 +61,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
             handles.append(Line2D([], [], color=style.MUTED, label=label, **line))
         figure.legend(handles=handles, loc="outside upper left", ncols=2)
         budget = results.context(first)[1]
-        text = f"{len(runs)} runs at budget {budget}, each a line of its own, unsmoothed"
+        text = f"budget {budget}; every run is a line of its own, unsmoothed"
         evidence = results.is_evidence(budget)
         style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)
     return figure
