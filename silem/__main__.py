@@ -214,8 +214,8 @@ def _finished(run_id: str) -> RunRecord:
 
 def _evaluate(options: argparse.Namespace) -> None:
     record = _finished(options.run_id)
-    body = record.config["body"]
-    result = evaluate(load_policy(record), body, options.episodes, progress=True)
+    learner = record.run_config().learner
+    result = evaluate(load_policy(record), learner, options.episodes, progress=True)
     _print_evaluation(record.run_id, result.to_dict())
 
 
@@ -234,14 +234,13 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    from silem.report import rendering  # imports drawing libraries that no other command needs
+    from silem.report import rendering, video  # no other command needs drawing libraries
 
     record = _finished(options.run_id)
     policy = load_policy(record)
-    clip = rendering.rollout(
-        record.config["body"], policy, duration_s=options.seconds, seed=options.seed
-    )
-    rendering.write_mp4(options.out, clip)
+    learner = record.run_config().learner
+    clip = rendering.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
+    video.write(options.out, clip)
     print(options.out)
 
 

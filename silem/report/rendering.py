@@ -26,13 +26,13 @@ from silem.report.video import (
     labelled,
     side_by_side,
     strip,
-    write_mp4,
+    write,
 )
 from silem.study.evaluate import Policy, random_policy
 
 __all__ = [
     "Clip", "encode_mp4", "encode_png", "gallery", "labelled", "motion", "rollout", "side_by_side",
-    "still", "strip", "why_no_pictures", "write_mp4",
+    "still", "strip", "why_no_pictures", "write",
 ]  # fmt: skip
 
 _STEPS_PER_FRAME = {"bullet": 2, "mujoco": 1}

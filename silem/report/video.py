@@ -19,11 +19,12 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from silem import files
-from silem.errors import SilemError
+from silem.errors import SilemError, choose
 
 _INK, _CHALK = (32, 32, 32), (245, 245, 245)
 _DARK = 96  # a background of less light than this gets a label in chalk
 _LABEL_SIZE = 0.055  # of the picture's height
+_WEBP_WIDTH = 320
 _GAP = 8  # pixels between two clips; even, as the video's width has to be
 
 
@@ -137,13 +138,30 @@ def encode_mp4(clip: Clip) -> bytes:
         raise SilemError(f"the video encoder failed: {error}") from error
 
 
-def write_mp4(path: Path, clip: Clip) -> None:
-    """Write a clip as an mp4 file, atomically.
+def encode_webp(clip: Clip) -> bytes:
+    """Encode a clip as an animated WebP picture, small, for places that play no video."""
+    height, width = clip.frames.shape[1:3]
+    size = (_WEBP_WIDTH, round(_WEBP_WIDTH * height / width))
+    pictures = [Image.fromarray(frame).resize(size) for frame in clip.frames]
+    memory = io.BytesIO()
+    pictures[0].save(
+        memory, "WEBP", save_all=True, append_images=pictures[1:], loop=0, quality=40, method=6,
+        duration=round(1000 / clip.frames_per_s),
+    )  # fmt: skip
+    return memory.getvalue()
+
+
+_ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
+
+
+def write(path: Path, clip: Clip) -> None:
+    """Write a clip as an mp4 or a webp file, whichever its name ends in, atomically.
 
     Raises:
-        SilemError: The file cannot be written; one that was there before is untouched.
+        SilemError: The name ends in anything else, or the file cannot be written; one that was
+            there before is untouched.
     """
-    files.write_bytes(path, encode_mp4(clip))
+    files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
 
 
 def encode_png(picture: np.ndarray) -> bytes:

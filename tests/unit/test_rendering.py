@@ -10,6 +10,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image
 
 import silem
 from silem import bodies
@@ -36,7 +37,7 @@ def decode(path: Path) -> tuple[dict, np.ndarray]:
 
 def test_mp4_is_what_browsers_play_and_shows_the_frames(tmp_path: Path) -> None:
     clip = gradient_clip()
-    rendering.write_mp4(tmp_path / "clip.mp4", clip)
+    rendering.write(tmp_path / "clip.mp4", clip)
     meta, frames = decode(tmp_path / "clip.mp4")
     assert meta["codec"] == "h264"
     assert meta["pix_fmt"].startswith("yuv420p")
@@ -48,7 +49,7 @@ def test_mp4_is_what_browsers_play_and_shows_the_frames(tmp_path: Path) -> None:
 
 
 def test_mp4_of_odd_size_loses_one_row_and_column(tmp_path: Path) -> None:
-    rendering.write_mp4(tmp_path / "clip.mp4", gradient_clip(height=91, width=121))
+    rendering.write(tmp_path / "clip.mp4", gradient_clip(height=91, width=121))
     _, frames = decode(tmp_path / "clip.mp4")
     assert frames.shape[1:3] == (90, 120)
 
@@ -66,7 +67,7 @@ def test_failed_write_keeps_the_file_that_was_there(
     path.write_bytes(b"before")
     monkeypatch.setattr(imageio_ffmpeg._io, "get_ffmpeg_exe", lambda: str(tmp_path / "nowhere"))
     with pytest.raises(SilemError, match="video encoder"):
-        rendering.write_mp4(path, gradient_clip())
+        rendering.write(path, gradient_clip())
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -215,3 +216,12 @@ def test_gallery_has_a_picture_for_every_body() -> None:
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert titles == ["HC0: 1 m", "HC1: 2 m", "HC2: 3 m", ""]
     assert [len(axes.images) for axes in figure.axes] == [1, 1, 1, 0]
+
+
+def test_a_film_is_written_as_its_name_says(tmp_path: Path) -> None:
+    clip = gradient_clip()
+    rendering.write(tmp_path / "clip.webp", clip)
+    with Image.open(tmp_path / "clip.webp") as picture:
+        assert (picture.format, picture.n_frames, picture.width) == ("WEBP", len(clip.frames), 320)
+    with pytest.raises(SilemError, match="unknown kind of film"):
+        rendering.write(tmp_path / "clip.gif", clip)
