@@ -33,7 +33,7 @@ class Raw(Batched[MujocoVecEnv]):
         step, n_substeps, fall_head_m = mujoco.mj_step, body.n_substeps, body.fall_head_m
         pose = np.array(body.standing_pose)
         head = model.body(body.skeleton.head).id
-        states = [(data, data.ctrl, data.xpos[head]) for data in self.env.simulation.datas]
+        states = [(data, data.ctrl, data.xpos[head]) for data in self.env.simulation.states]
         for rows in actions:
             for (data, control, head_m), action in zip(states, rows, strict=True):
                 control[:] = action

@@ -35,7 +35,7 @@ class Simulation:
     Attributes:
         body: The body.
         model: Its compiled model.
-        datas: The E states.
+        states: The E states.
     """
 
     def __init__(self, body: MujocoBody, n_envs: int, n_threads: int = 1) -> None:
@@ -43,13 +43,13 @@ class Simulation:
         self.model = mujoco.MjModel.from_xml_string(body.model_xml())
         # Nothing reads sensors; what is needed is computed once per control step, not per substep.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-        self.datas = [mujoco.MjData(self.model) for _ in range(n_envs)]
+        self.states = [mujoco.MjData(self.model) for _ in range(n_envs)]
         self._landmarks = Landmarks(self.model, body.skeleton)
         torso, root = self._landmarks.torso, self._landmarks.root
-        self._controls = [data.ctrl for data in self.datas]
+        self._controls = [data.ctrl for data in self.states]
         self._views = [
             (data.qpos, data.qvel, data.xpos.ravel(), data.xmat[torso], data.subtree_linvel[root])
-            for data in self.datas
+            for data in self.states
         ]
         bounds = np.cumsum([0, *(view.size for view in self._views[0])]).tolist()
         self._columns = [slice(*pair) for pair in itertools.pairwise(bounds)]
@@ -58,7 +58,7 @@ class Simulation:
 
     def place(self, index: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Put one state at joint positions (nq,) and velocities (nv,)."""
-        data = self.datas[index]
+        data = self.states[index]
         mujoco.mj_resetData(self.model, data)
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_forward(self.model, data)
@@ -79,7 +79,7 @@ class Simulation:
         model, rest, failed = self.model, self.body.n_substeps - 1, []
         least = self.body.control_step_s - 0.5 * model.opt.timestep
         for index in indices:
-            data = self.datas[index]
+            data = self.states[index]
             self._controls[index][:] = actions[index]
             due = data.time + least
             mujoco.mj_step2(model, data)

@@ -52,7 +52,7 @@ class MujocoCamera:
 
     def picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the body as it is now."""
-        data = self._simulation.datas[0]
+        data = self._simulation.states[0]
         self._camera.lookat[:2] = data.qpos[:2]
         self._renderer.update_scene(data, self._camera)
         return self._renderer.render()

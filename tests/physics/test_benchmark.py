@@ -59,7 +59,7 @@ def test_raw_mujoco_simulates_what_our_environment_does_until_a_fall():
     for action in actions:
         *_, dones, _ = ours.step(action)
         assert not dones.any()
-    for mine, theirs in zip(ours.simulation.datas, raw.env.simulation.datas, strict=True):
+    for mine, theirs in zip(ours.simulation.states, raw.env.simulation.states, strict=True):
         np.testing.assert_array_equal(mine.qpos, theirs.qpos)
     raw.run(np.tile(actions, (20, 1, 1)))  # long enough to fall, often
     head_m = raw.env.simulation.read().head_m

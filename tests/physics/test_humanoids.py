@@ -42,7 +42,7 @@ def walked():
         wanted = theirs.step(action[0])
         observations, rewards, _, _ = ours.step(action)
         expected = np.concatenate([np.atleast_1d(part) for part in wanted.observation.values()])
-        state = theirs.physics.data.qpos.copy(), ours.simulation.datas[0].qpos.copy()
+        state = theirs.physics.data.qpos.copy(), ours.simulation.states[0].qpos.copy()
         rows.append((expected, observations[0], wanted.reward, rewards[0], *state))
     return [np.array(column) for column in zip(*rows, strict=True)]
 
@@ -137,7 +137,7 @@ def test_features_beside_the_observation_are_g_of_the_state():
         *_, infos = env.step(action)
     simulation = env.simulation
     landmarks = Landmarks(simulation.model, env.body.skeleton)
-    for index, data in enumerate(simulation.datas):
+    for index, data in enumerate(simulation.states):
         expected = g(simulation.model, data, landmarks)
         np.testing.assert_allclose(infos[index]["skeletal_features"], expected, atol=1e-6)
     assert env.skeletal_features.shape == (3, len(FEATURES))
@@ -248,7 +248,7 @@ def test_distances_are_the_papers():
 def test_standing_pose_has_its_soles_on_the_floor():
     simulation = Simulation(bodies.get("Humanoid"), 1)
     simulation.place(0, np.array(simulation.body.standing_pose), np.zeros(27))
-    data = simulation.datas[0]
+    data = simulation.states[0]
     assert data.ncon == 0 or abs(data.contact.dist).max() < 1e-6
     lowered = np.array(simulation.body.standing_pose)
     lowered[2] -= 1e-3
@@ -279,7 +279,7 @@ def test_bad_input_is_refused():
 def test_physics_that_explodes_ends_the_episode_without_reward():
     env = make_vec("Humanoid", 1)
     env.reset()
-    env.simulation.datas[0].qvel[:] = 1e12
+    env.simulation.states[0].qvel[:] = 1e12
     _, rewards, dones, infos = env.step(np.zeros((1, 21)))
     assert dones[0] and rewards[0] == 0.0
     assert not infos[0]["TimeLimit.truncated"]
