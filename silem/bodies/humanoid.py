@@ -45,8 +45,7 @@ def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
     """Return the MJCF text of dm_control's humanoid with scaled arms.
 
     Lengths along an arm are scaled, radii are not; masses and inertias follow from the density.
-    Of the sensors only the velocity of the centre of mass stays: nothing reads the others, and
-    their sites would have to be scaled too.
+    Sensors are left out: nothing reads them, and their sites would have to be scaled too.
     """
     root = ElementTree.fromstring(common.read_model("humanoid.xml"))
     _inline_includes(root)
@@ -127,11 +126,9 @@ def _inline_includes(root: ElementTree.Element) -> None:
 
 
 def _drop_sensors(root: ElementTree.Element) -> None:
-    """Leave the one sensor that the observation reads, and no sites for the others."""
+    """Leave out the sensors and the sites that carry them."""
     for sensors in root.findall("sensor"):
-        for sensor in list(sensors):
-            if sensor.tag != "subtreelinvel":
-                sensors.remove(sensor)
+        root.remove(sensors)
     for link in root.iter("body"):
         for site in link.findall("site"):
             link.remove(site)
