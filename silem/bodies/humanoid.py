@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import xml.etree.ElementTree as ElementTree
 from functools import partial
+from importlib.resources import files
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from dm_control.suite import common
 
 from silem.bodies.body import Motor, MujocoBody, Skeleton
 from silem.errors import SilemError
@@ -38,6 +38,7 @@ SKELETON = Skeleton(
     right_knee="right_shin",
     right_foot="right_foot",
 )
+_SUITE = files("dm_control") / "suite"  # read, not imported: that would load every task of it
 _ARM_LINKS = ("upper_arm", "lower_arm", "hand")
 
 
@@ -47,7 +48,7 @@ def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
     Lengths along an arm are scaled, radii are not; masses and inertias follow from the density.
     Sensors are left out: nothing reads them, and their sites would have to be scaled too.
     """
-    root = ElementTree.fromstring(common.read_model("humanoid.xml"))
+    root = _read("humanoid.xml")
     _inline_includes(root)
     _drop_sensors(root)
     for side, factor in (("left", left_arm), ("right", right_arm)):
@@ -117,12 +118,16 @@ def _lowest_point_m(compiled: mujoco.MjModel, data: mujoco.MjData) -> float:
     return float(min(heights))
 
 
+def _read(name: str) -> ElementTree.Element:
+    """Return one of the suite's files."""
+    return ElementTree.fromstring((_SUITE / name).read_text(encoding="utf-8"))
+
+
 def _inline_includes(root: ElementTree.Element) -> None:
     """Put the content of the files that dm_control's model includes in their place."""
     for index, child in reversed(list(enumerate(root))):
         if child.tag == "include":
-            text = common.ASSETS[child.attrib["file"]]
-            root[index : index + 1] = list(ElementTree.fromstring(text))
+            root[index : index + 1] = list(_read(child.attrib["file"]))
 
 
 def _drop_sensors(root: ElementTree.Element) -> None:

@@ -22,7 +22,6 @@ from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.silem import SILEM
 from silem.imitation.tpil import TPIL
 from silem.learning.ppo import PPO
-from silem.skeleton.starts import demonstration_states
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 
@@ -50,6 +49,9 @@ def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
     options: dict[str, Any] = {}
     if config.hyper.starts == "demonstration":
+        # inverse kinematics and motion capture come with it, which no other run needs
+        from silem.skeleton.starts import demonstration_states
+
         name = retargeted(HUMAN, config.body)
         options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
