@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from silem.envs.filmed import Filmed
 from silem.errors import SilemError, choose
 
 MAX_STEPS = 1000
@@ -34,14 +35,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-class Pictures(Protocol):
-    """A camera."""
-
-    def picture(self) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8."""
-
-
-class BatchedEnv(VecEnv):
+class BatchedEnv(Filmed, VecEnv):
     """E environments with the same body, behind one object.
 
     An environment that ends is reset at once, as stable-baselines3 expects. Its info then holds
@@ -70,7 +64,6 @@ class BatchedEnv(VecEnv):
         self._generators: list[np.random.Generator] = []
         self._built_at = time.perf_counter()
         self._actions: np.ndarray | None = None
-        self._camera: Pictures | None = None
         super().__init__(int(n_envs), *spaces)
         self.seed(seed)
 
@@ -104,14 +97,6 @@ class BatchedEnv(VecEnv):
         actions, self._actions = self._actions, None
         return actions
 
-    def _is_reset(self) -> bool:
-        """Tell whether there are episodes to go on with."""
-        raise NotImplementedError
-
-    def _make_camera(self) -> Pictures:
-        """Return a camera on the first environment."""
-        raise NotImplementedError
-
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment.
 
@@ -122,11 +107,7 @@ class BatchedEnv(VecEnv):
             SilemError: For any other mode, before the first reset, or where nothing can be drawn.
         """
         choose("render mode", mode or "rgb_array", ["rgb_array"])
-        if not self._is_reset():
-            raise SilemError("render before reset")
-        if self._camera is None:
-            self._camera = self._make_camera()
-        return self._camera.picture()
+        return self._picture()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return the picture of the first environment, the only one that is drawn."""

@@ -115,7 +115,7 @@ class BulletVecEnv(BatchedEnv):
         return bool(self.simulators)
 
     def _make_camera(self) -> Camera:
-        return Camera(self.simulators[0])
+        return Camera(self.simulators[0], *self.picture_size)
 
     def _rebuild(self) -> None:
         """Build all clients afresh, with the random streams of the latest seed."""

@@ -162,7 +162,7 @@ class MujocoVecEnv(BatchedEnv):
         return self._has_episodes
 
     def _make_camera(self) -> MujocoCamera:
-        return MujocoCamera(self.simulation)
+        return MujocoCamera(self.simulation, *self.picture_size)
 
     def close(self) -> None:
         """End the threads and the renderer; closing twice is allowed."""

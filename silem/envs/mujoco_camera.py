@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import copy
 
 import mujoco
 import numpy as np
@@ -34,7 +35,7 @@ class MujocoCamera:
         if min(width, height) < 1:
             raise SilemError(f"picture of {width} x {height} pixels: not positive")
         self._simulation = simulation
-        self._model = _painted(simulation)
+        self._model = _painted(simulation, width, height)
         height_m = simulation.body.standing_head_m
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
@@ -63,10 +64,10 @@ class MujocoCamera:
         self._renderer.close()
 
 
-def _painted(simulation: Simulation) -> mujoco.MjModel:
-    """Return a copy of the model for drawing, its varied links in another colour."""
-    model = mujoco.MjModel.from_xml_string(simulation.body.model_xml())
-    model.vis.global_.offwidth, model.vis.global_.offheight = 1920, 1440
+def _painted(simulation: Simulation, width: int, height: int) -> mujoco.MjModel:
+    """Return a copy of the model for such pictures, its varied links in another colour."""
+    model = copy.copy(simulation.model)
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     for link in simulation.body.varied:
         for geom in np.flatnonzero(model.geom_bodyid == model.body(link).id):
             model.geom_matid[geom] = -1

@@ -11,13 +11,14 @@ from silem import bodies
 from silem.bodies import BulletBody
 from silem.envs.batched import check_actions
 from silem.envs.bullet import spaces, start_angles
+from silem.envs.filmed import Filmed
 from silem.envs.rendering import Camera
 from silem.envs.simulator import STEP_S, Simulator
 from silem.envs.tasks import LocomotionTask, as_observations
 from silem.errors import SilemError, choose
 
 
-class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class BulletEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     """One body on its track; `gymnasium.make("silem/HC0-v0")` makes it with a limit of steps."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # noqa: RUF012
@@ -41,9 +42,8 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             choose("render mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.observation_space, self.action_space = spaces(self.body)
-        self._size = (width, height)
+        self.picture_size = (width, height)
         self._simulator: Simulator | None = None
-        self._camera: Camera | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -87,13 +87,14 @@ class BulletEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: Before `reset`.
         """
-        if self.render_mode is None:
-            return None
-        if self._simulator is None:
-            raise SilemError("render before reset")
-        if self._camera is None:
-            self._camera = Camera(self._simulator, *self._size)
-        return self._camera.picture()
+        return None if self.render_mode is None else self._picture()
+
+    def _is_reset(self) -> bool:
+        return self._simulator is not None
+
+    def _make_camera(self) -> Camera:
+        assert self._simulator is not None
+        return Camera(self._simulator, *self.picture_size)
 
     def close(self) -> None:
         """Disconnect the simulator; closing twice is allowed."""

@@ -10,13 +10,14 @@ import numpy as np
 from silem.bodies import Body
 from silem.envs import walking
 from silem.envs.batched import check_actions
+from silem.envs.filmed import Filmed
 from silem.envs.humanoids import features_of, spaces
 from silem.envs.mujoco import Simulation, StartStates, body_of, start_state
 from silem.envs.mujoco_camera import MujocoCamera
 from silem.errors import SilemError, choose
 
 
-class MujocoEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class MujocoEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     """One humanoid that learns to walk; `gymnasium.make("silem/Humanoid-v0")` limits its steps."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 40}  # noqa: RUF012
@@ -49,9 +50,8 @@ class MujocoEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             choose("render mode", render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.observation_space, self.action_space = spaces(self.body)
-        self._size, self._speed_m_s, self._starts = (width, height), speed_m_s, starts
+        self.picture_size, self._speed_m_s, self._starts = (width, height), speed_m_s, starts
         self._simulation: Simulation | None = None
-        self._camera: MujocoCamera | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -102,16 +102,17 @@ class MujocoEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: Before `reset`, or without offscreen rendering.
         """
-        if self.render_mode is None:
-            return None
-        if self._simulation is None:
-            raise SilemError("render before reset")
-        if self._camera is None:
-            self._camera = MujocoCamera(self._simulation, *self._size)
-        return self._camera.picture()
+        return None if self.render_mode is None else self._picture()
+
+    def _is_reset(self) -> bool:
+        return self._simulation is not None
+
+    def _make_camera(self) -> MujocoCamera:
+        assert self._simulation is not None
+        return MujocoCamera(self._simulation, *self.picture_size)
 
     def close(self) -> None:
         """Give back the renderer; closing twice is allowed."""
-        if self._camera is not None:
+        if isinstance(self._camera, MujocoCamera):
             self._camera.close()
         self._simulation = self._camera = None

@@ -17,8 +17,6 @@ from silem.skeleton.features import FEATURES, POINTS
 DEMONSTRATOR_SPEED_M_S = 1.6
 """Mean speed of the man in clip 08_01: 3.679 m in 2.30 s."""
 
-MAX_RETURN = 1000.0
-
 _UPRIGHT_FROM = 0.9  # cosine of the torso's tilt
 _UPRIGHT_MARGIN = 1.9
 _LOG_MARGIN_VALUE = np.log(0.1)  # dm_control's default value of its Gaussian at the margin

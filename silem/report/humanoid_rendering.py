@@ -71,12 +71,12 @@ def _fall(body: MujocoBody, torque: float, duration_s: float, seed: int) -> Clip
     camera = MujocoCamera(simulation, _WIDTH, _HEIGHT)
     try:
         simulation.place(0, *start_state(generator, body))
-        pictures = [camera.picture().copy()]
+        pictures = [camera.picture()]
         n_steps = round(duration_s / body.control_step_s)
         for step in tqdm(range(1, n_steps + 1), desc=f"filming {body.name}", unit="step"):
             simulation.advance(generator.uniform(-torque, torque, (1, body.action_size)))
             if step % STATES_PER_PICTURE == 0:
-                pictures.append(camera.picture().copy())
+                pictures.append(camera.picture())
     finally:
         camera.close()
         simulation.close()

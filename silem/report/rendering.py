@@ -14,26 +14,14 @@ import silem
 from silem import bodies, seeding
 from silem.bodies import Body, BulletBody, MujocoBody
 from silem.envs import MujocoCamera
+from silem.envs.filmed import Filmed
 from silem.envs.mujoco import Simulation, body_of
 from silem.envs.rendering import Camera
 from silem.envs.simulator import STEP_S, Simulator
 from silem.errors import SilemError
 from silem.report import style
-from silem.report.video import (
-    Clip,
-    encode_mp4,
-    encode_png,
-    labelled,
-    side_by_side,
-    strip,
-    write,
-)
+from silem.report.video import Clip
 from silem.study.evaluate import Policy, random_policy
-
-__all__ = [
-    "Clip", "encode_mp4", "encode_png", "gallery", "labelled", "motion", "rollout", "side_by_side",
-    "still", "strip", "why_no_pictures", "write",
-]  # fmt: skip
 
 _STEPS_PER_FRAME = {"bullet": 2, "mujoco": 1}
 """Control steps from one frame to the next: 30 and 40 frames per simulated second."""
@@ -105,6 +93,8 @@ def rollout(
     duration_s: float = 6.0,
     seed: int = 0,
     progress: bool = True,
+    steps_per_frame: int | None = None,
+    size: tuple[int, int] = Filmed.picture_size,
 ) -> Clip:
     """Film a policy from the start of an episode; it acts stochastically, as in evaluation.
 
@@ -116,13 +106,15 @@ def rollout(
         duration_s: Simulated time to film, seconds.
         seed: Seed of the start state and of the policy's random numbers.
         progress: Show a progress bar.
+        steps_per_frame: Control steps from one frame to the next; None for the usual ones.
+        size: Width and height of the pictures, pixels.
 
     Raises:
         SilemError: The body is unknown, the duration is not positive, or nothing can be drawn
             offscreen here.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    steps_per_frame = _STEPS_PER_FRAME[found.engine]
+    steps_per_frame = steps_per_frame or _STEPS_PER_FRAME[found.engine]
     frame_s = steps_per_frame * (found.control_step_s if isinstance(found, MujocoBody) else STEP_S)
     if not (duration_s > 0 and math.isfinite(duration_s)):
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
@@ -131,6 +123,7 @@ def rollout(
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
     env = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    env.picture_size = size
     try:
         observations: Any = env.reset()
         frames: list[Any] = [env.render()]
@@ -196,7 +189,7 @@ def _poses(body: MujocoBody, qpos: np.ndarray, width: int, height: int) -> np.nd
         pictures = []
         for pose in qpos:
             simulation.place(0, pose, np.zeros(simulation.model.nv))
-            pictures.append(camera.picture().copy())
+            pictures.append(camera.picture())
         return np.stack(pictures)
     finally:
         camera.close()

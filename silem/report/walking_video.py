@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from IPython.display import HTML, display
-from tqdm import tqdm
 
-from silem import seeding
-from silem.envs import MujocoCamera, MujocoVecEnv
-from silem.envs.mujoco import body_of
 from silem.report import notebook, rendering, results, style
 from silem.report.motion_video import STATES_PER_PICTURE
 from silem.report.video import Clip, side_by_side, strip
@@ -99,26 +94,14 @@ def film(run_id: str, duration_s: float, seed: int = 0) -> Clip:
         SilemError: There is no such run, its policy is missing, or nothing can be drawn offscreen.
     """
     record = results.find(run_id)
-    body, policy = body_of(record.run_config().learner), load_policy(record)
-    if hasattr(policy, "reseed"):
-        policy.reseed(seeding.child_seed(seed, "video policy"))
-    env = MujocoVecEnv(body, n_envs=1, seed=seeding.child_seed(seed, "video env"))
-    camera = MujocoCamera(env.simulation, _WIDTH, _HEIGHT)
-    try:
-        observations: Any = env.reset()
-        pictures = [camera.picture().copy()]
-        n_steps = round(duration_s / body.control_step_s)
-        for step in tqdm(range(1, n_steps), desc=f"filming {run_id}", unit="step"):
-            actions, _ = policy.predict(observations, deterministic=False)
-            observations, _, dones, _ = env.step(actions)
-            if dones[0]:  # the environment stands at its next start already
-                break
-            if step % STATES_PER_PICTURE == 0:
-                pictures.append(camera.picture().copy())
-    finally:
-        camera.close()
-        env.close()
-    return Clip(np.stack(pictures), 1 / (STATES_PER_PICTURE * body.control_step_s))
+    return rendering.rollout(
+        record.run_config().learner,
+        load_policy(record),
+        duration_s=duration_s,
+        seed=seed,
+        steps_per_frame=STATES_PER_PICTURE,
+        size=(_WIDTH, _HEIGHT),
+    )
 
 
 def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:

@@ -16,7 +16,7 @@ from silem.demonstrations import Demonstrations
 from silem.errors import SilemError
 from silem.report import limbs, notebook, one_run, rendering, skeleton
 from silem.report.features import feature_names
-from silem.report.rendering import Clip
+from silem.report.video import Clip
 from silem.skeleton.features import POINTS
 
 needs_pictures = pytest.mark.skipif(

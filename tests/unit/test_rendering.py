@@ -15,8 +15,8 @@ from PIL import Image
 import silem
 from silem import bodies
 from silem.errors import SilemError
-from silem.report import rendering
-from silem.report.rendering import Clip
+from silem.report import rendering, video
+from silem.report.video import Clip
 
 
 def gradient_clip(n_frames: int = 12, height: int = 90, width: int = 120) -> Clip:
@@ -37,7 +37,7 @@ def decode(path: Path) -> tuple[dict, np.ndarray]:
 
 def test_mp4_is_what_browsers_play_and_shows_the_frames(tmp_path: Path) -> None:
     clip = gradient_clip()
-    rendering.write(tmp_path / "clip.mp4", clip)
+    video.write(tmp_path / "clip.mp4", clip)
     meta, frames = decode(tmp_path / "clip.mp4")
     assert meta["codec"] == "h264"
     assert meta["pix_fmt"].startswith("yuv420p")
@@ -49,15 +49,15 @@ def test_mp4_is_what_browsers_play_and_shows_the_frames(tmp_path: Path) -> None:
 
 
 def test_mp4_of_odd_size_loses_one_row_and_column(tmp_path: Path) -> None:
-    rendering.write(tmp_path / "clip.mp4", gradient_clip(height=91, width=121))
+    video.write(tmp_path / "clip.mp4", gradient_clip(height=91, width=121))
     _, frames = decode(tmp_path / "clip.mp4")
     assert frames.shape[1:3] == (90, 120)
 
 
 def test_mp4_bytes_depend_on_the_clip_alone() -> None:
-    first, again = rendering.encode_mp4(gradient_clip()), rendering.encode_mp4(gradient_clip())
+    first, again = video.encode_mp4(gradient_clip()), video.encode_mp4(gradient_clip())
     assert first == again
-    assert first != rendering.encode_mp4(gradient_clip(n_frames=13))
+    assert first != video.encode_mp4(gradient_clip(n_frames=13))
 
 
 def test_failed_write_keeps_the_file_that_was_there(
@@ -67,14 +67,14 @@ def test_failed_write_keeps_the_file_that_was_there(
     path.write_bytes(b"before")
     monkeypatch.setattr(imageio_ffmpeg._io, "get_ffmpeg_exe", lambda: str(tmp_path / "nowhere"))
     with pytest.raises(SilemError, match="video encoder"):
-        rendering.write(path, gradient_clip())
+        video.write(path, gradient_clip())
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_png_round_trips() -> None:
     picture = gradient_clip().frames[3]
-    png = rendering.encode_png(picture)
+    png = video.encode_png(picture)
     decoded = subprocess.run(
         [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-i", "-", "-f", "rawvideo",
          "-pix_fmt", "rgb24", "-"],
@@ -85,7 +85,7 @@ def test_png_round_trips() -> None:
 
 def test_strip_takes_first_and_last_and_equal_steps_between() -> None:
     clip = gradient_clip(n_frames=13)
-    picture = rendering.strip(clip, 4, width=4 * 120)
+    picture = video.strip(clip, 4, width=4 * 120)
     assert picture.shape == (90, 4 * 120, 3)
     parts = np.split(picture, 4, axis=1)
     for part, index in zip(parts, (0, 4, 8, 12), strict=True):
@@ -93,31 +93,31 @@ def test_strip_takes_first_and_last_and_equal_steps_between() -> None:
 
 
 def test_strip_is_as_wide_as_asked_for() -> None:
-    assert rendering.strip(gradient_clip(), 4, width=240).shape == (45, 240, 3)
+    assert video.strip(gradient_clip(), 4, width=240).shape == (45, 240, 3)
 
 
 @pytest.mark.parametrize("n_frames", [0, 13])
 def test_strip_refuses_more_frames_than_there_are(n_frames: int) -> None:
     with pytest.raises(SilemError, match=rf"{n_frames} frames from a clip of 12"):
-        rendering.strip(gradient_clip(), n_frames)
+        video.strip(gradient_clip(), n_frames)
 
 
 def test_label_marks_every_frame_and_only_its_corner() -> None:
     clip = gradient_clip()
-    marked = rendering.labelled(clip, "SILEM").frames
+    marked = video.labelled(clip, "SILEM").frames
     changed = (marked != clip.frames).any(axis=-1)
     assert changed.any(axis=(1, 2)).all()
     assert not changed[:, 30:].any()
     assert not changed[:, :, 90:].any()
     assert (marked[changed] < clip.frames[changed]).all()  # dark ink
     night = Clip(clip.frames // 3, clip.frames_per_s)
-    lit = rendering.labelled(night, "SILEM").frames
+    lit = video.labelled(night, "SILEM").frames
     assert (lit[changed] > night.frames[changed]).all()
 
 
 def test_side_by_side_holds_the_last_frame_of_the_shorter() -> None:
     long, short = gradient_clip(n_frames=12), gradient_clip(n_frames=5)
-    joined = rendering.side_by_side([long, short], ["a", "b"])
+    joined = video.side_by_side([long, short], ["a", "b"])
     assert joined.frames.shape == (12, 90, 248, 3)
     assert (joined.frames[:, :, 120:128] == 255).all()
     assert np.array_equal(joined.frames[:, 45:, :120], long.frames[:, 45:])
@@ -129,11 +129,11 @@ def test_side_by_side_holds_the_last_frame_of_the_shorter() -> None:
 def test_side_by_side_refuses_what_does_not_fit() -> None:
     clip = gradient_clip()
     with pytest.raises(SilemError, match="one label per clip"):
-        rendering.side_by_side([clip], [])
+        video.side_by_side([clip], [])
     with pytest.raises(SilemError, match="same frame rate"):
-        rendering.side_by_side([clip, Clip(clip.frames, 25.0)], ["a", "b"])
+        video.side_by_side([clip, Clip(clip.frames, 25.0)], ["a", "b"])
     with pytest.raises(SilemError, match="picture height"):
-        rendering.side_by_side([clip, gradient_clip(height=80)], ["a", "b"])
+        video.side_by_side([clip, gradient_clip(height=80)], ["a", "b"])
 
 
 class Recorder:
@@ -220,9 +220,9 @@ def test_gallery_has_a_picture_for_every_body() -> None:
 
 def test_a_film_is_written_as_its_name_says(tmp_path: Path) -> None:
     clip = gradient_clip()
-    rendering.write(tmp_path / "clip.webp", clip)
+    video.write(tmp_path / "clip.webp", clip)
     with Image.open(tmp_path / "clip.webp") as picture:
         assert (picture.format, picture.width) == ("WEBP", 320)
         assert picture.n_frames > 1  # frames that look the same become one
     with pytest.raises(SilemError, match="unknown kind of film"):
-        rendering.write(tmp_path / "clip.gif", clip)
+        video.write(tmp_path / "clip.gif", clip)
