@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from silem import bodies, files, paths
-from silem.config import BUDGETS, DEMONSTRATOR_SEED, METHODS, Budget, RunConfig
+from silem import bodies, paths
+from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
+from silem.config import BUDGETS, DEMONSTRATOR_SEED, RunConfig
 from silem.errors import SilemError, choose
 from silem.study import campaign, runs, studies
 from silem.study.demonstrate import demonstrate
@@ -56,9 +56,9 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
-    _add_run(commands)
-    _add_campaign(commands)
-    _add_status(commands)
+    add_run(commands, _run)
+    add_campaign(commands, _campaign)
+    add_status(commands, _status)
 
     command = commands.add_parser("evaluate", help="evaluate a finished run's policy anew")
     command.add_argument("run_id", metavar="RUN_ID")
@@ -71,12 +71,12 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--run", metavar="RUN_ID", help="record this run instead")
     command.add_argument("--trajectories", type=int, default=20, help="default: %(default)s")
     command.add_argument("--force", action="store_true", help="replace another expert's")
-    _add_quiet(command)
+    add_quiet(command)
     command.set_defaults(command=_demonstrations)
 
     command = commands.add_parser("render", help="film a finished run's policy")
     command.add_argument("run_id", metavar="RUN_ID")
-    command.add_argument("--out", type=Path, required=True, help="the .mp4 file to write")
+    command.add_argument("--out", type=Path, required=True, help="the .mp4 or .webp file to write")
     command.add_argument("--seconds", type=float, default=6.0, help="default: %(default)s")
     command.add_argument("--seed", type=int, default=0)
     command.set_defaults(command=_render)
@@ -86,100 +86,14 @@ def parser() -> argparse.ArgumentParser:
     command = commands.add_parser(
         "mocap", help="make the human's demonstrations, and retarget them, from CMU's clips"
     )
-    _add_quiet(command)
+    add_quiet(command)
     command.set_defaults(command=_mocap)
     return whole
-
-
-def _add_quiet(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--quiet", action="store_true", help="no progress bar")
-
-
-def _add_budget(command: argparse.ArgumentParser, default: str) -> None:
-    command.add_argument(
-        "--budget", default=default, help=f"{', '.join(BUDGETS)} (default: %(default)s)"
-    )
-    command.add_argument(
-        "--iterations", type=int, metavar="N", help="the budget with N iterations instead"
-    )
-
-
-def _add_run(commands: Any) -> None:
-    command = commands.add_parser("run", help="make one run, or go on with it")
-    command.add_argument("--body", help="the learner's body (see `bodies`)")
-    command.add_argument("--method", help=", ".join(METHODS))
-    command.add_argument("--demonstrations", metavar="BODY", help="the expert's body")
-    _add_budget(command, "tiny")
-    command.add_argument("--seed", type=int, default=0)
-    command.add_argument("--study", help="default: the body's family")
-    command.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="a hyper-parameter"
-    )
-    command.add_argument("--config", type=Path, help="a JSON configuration instead of all these")
-    command.add_argument("--force", action="store_true", help="start anew, even if finished")
-    command.add_argument(
-        "--wait", action="store_true", help="wait for another process at work on this run"
-    )
-    _add_quiet(command)
-    command.set_defaults(command=_run)
-
-
-def _add_campaign(commands: Any) -> None:
-    command = commands.add_parser("campaign", help="make all runs of a study that are missing")
-    command.add_argument("--study", default="halfcheetah", help="default: %(default)s")
-    _add_budget(command, "book")
-    command.add_argument("--trials", type=int, help="per cell; default: the budget's number")
-    command.add_argument("--workers", type=int, default=2, help="default: %(default)s")
-    command.add_argument("--body", nargs="+", help="only these learners' bodies")
-    command.add_argument("--method", nargs="+", help="only these methods")
-    _add_quiet(command)
-    command.set_defaults(command=_campaign)
-
-
-def _add_status(commands: Any) -> None:
-    command = commands.add_parser("status", help="what of a study is finished, running, missing")
-    command.add_argument("--study", default="halfcheetah", help="default: %(default)s")
-    _add_budget(command, "book")
-    command.set_defaults(command=_status)
-
-
-def _budget(options: argparse.Namespace) -> Budget:
-    budget = BUDGETS[choose("budget", options.budget, BUDGETS)]
-    return budget.with_iterations(options.iterations) if options.iterations else budget
-
-
-def config_of(options: argparse.Namespace) -> RunConfig:
-    """Return the configuration that the options of ``run`` ask for."""
-    if options.config:
-        return RunConfig.from_dict(files.read_json(options.config))
-    if not (options.body and options.method):
-        raise SilemError("run needs --body and --method (or --config)")
-    return RunConfig.create(
-        options.body,
-        options.method,
-        options.demonstrations,
-        _budget(options),
-        options.seed,
-        study=options.study,
-        **dict(_setting(text) for text in options.set),
-    )
 
 
 def _run(options: argparse.Namespace) -> None:
     record = runs.run(config_of(options), not options.quiet, options.force, options.wait)
     _print_evaluation(record.run_id, record.evaluation)
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise SilemError(f"--set takes NAME=VALUE, not {text!r}")
-    try:
-        return name, ast.literal_eval(value)
-    except (ValueError, SyntaxError):
-        if value.isidentifier():
-            return name, value
-        raise SilemError(f"--set {name}: {value!r} is no number, list of numbers or word") from None
 
 
 def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
@@ -194,7 +108,7 @@ def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
 
 def _campaign(options: argparse.Namespace) -> None:
     configs = studies.study_configs(
-        options.study, _budget(options), options.trials, body=options.body, method=options.method
+        options.study, budget_of(options), options.trials, body=options.body, method=options.method
     )
     records = campaign.campaign(configs, options.workers, progress=not options.quiet)
     for record in records:
@@ -202,7 +116,7 @@ def _campaign(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
-    print(studies.status_table(options.study, _budget(options)))
+    print(studies.status_table(options.study, budget_of(options)))
 
 
 def _finished(run_id: str) -> RunRecord:
