@@ -71,7 +71,8 @@ def retargeted(demonstrations: str, body: str) -> str:
 def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[str, Any]:
     """Return the values of the supplement for one cell: common settings, then the best found.
 
-    A humanoid that the paper does not know takes Humanoid's.
+    A humanoid that the paper does not know takes Humanoid's. A humanoid's expert takes SILEM's
+    number of epochs, which the humanoids' common table leaves out.
     """
     if family != "humanoid":
         return paper.best_combination(body, method, source)
@@ -87,7 +88,8 @@ def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[s
         "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
         "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,
     }
-    return shared | paper.common(family) | paper.best_combination(known, method, source)
+    best = paper.best_combination(known, "silem" if method == "ppo" else method, source)
+    return shared | paper.common(family) | best
 
 
 def check_ankle(body: str, ankle_range_rad: float) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from silem import files, paths
 from silem.errors import SilemError, choose
 
 MANIFEST = "manifest.json"
+_WAIT_S = 600.0
 _OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of every file
 
 
@@ -128,6 +130,17 @@ def entry(name: str) -> dict[str, Any]:
     manifest = files.read_json(paths.demonstrations_dir() / MANIFEST)
     found: dict[str, Any] = manifest[choose("demonstrations", name, manifest)]
     return found
+
+
+@contextmanager
+def publishing() -> Iterator[None]:
+    """Hold the one lock of all demonstrations, because they share the manifest.
+
+    Raises:
+        SilemError: Another process holds it for longer than ten minutes.
+    """
+    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+        yield
 
 
 def publish(

@@ -143,7 +143,7 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
     if method == "random":
         return {}
     if method == "ppo":
-        return _expert_combination(body)
+        return {name: common()[name] for name in ("n_epochs", "minibatch_size")}
     if method == "silem-minus" and demonstrations == body and body not in _ORIGINAL_BODIES:
         method = "silem-minus-own"
     row = _best_row(body, method)
@@ -157,15 +157,6 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
         symbols()[symbol].parameter: float(value) if symbols()[symbol].real else value
         for symbol, value in row.items()
     }
-
-
-def _expert_combination(body: str) -> dict[str, Any]:
-    """Return N_P and N_Pmb of an expert: the common table's, or SILEM's N_P where it has none."""
-    family = "humanoid" if (silem := _best_row(body, "silem")) and "w_d" in silem else "halfcheetah"
-    settings = common(family)
-    if silem is not None:
-        settings.setdefault("n_epochs", silem["N_P"])
-    return {name: settings[name] for name in ("n_epochs", "minibatch_size")}
 
 
 def grid_values(key: str) -> dict[str, list[Any]]:

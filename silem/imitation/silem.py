@@ -11,9 +11,9 @@ from torch.nn import functional as F
 
 from silem.demonstrations import Demonstrations
 from silem.errors import SilemError, choose
+from silem.hyperparameters import L2_FORMS
 from silem.imitation.adversarial import AdversarialImitation
 from silem.imitation.transforms import (
-    L2_FORMS,
     TRANSFORMS,
     AffineTransform,
     l2_penalty,

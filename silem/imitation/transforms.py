@@ -11,8 +11,6 @@ from silem.errors import choose
 
 TransformName = Literal["affine", "identity", "mlp"]
 TRANSFORMS: tuple[TransformName, ...] = ("affine", "identity", "mlp")
-L2Form = Literal["deviation", "plain"]
-L2_FORMS: tuple[L2Form, ...] = ("deviation", "plain")
 MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
 
 

@@ -34,8 +34,7 @@ def measured() -> dict[str, dict[str, float]]:
     """
     found = {DEMONSTRATOR: distances(demonstrator.model(), demonstrator.SKELETON)}
     for name in bodies.names("humanoid"):
-        body = bodies.get(name)
-        assert isinstance(body, MujocoBody)
+        body = bodies.of_kind(name, MujocoBody)
         model = mujoco.MjModel.from_xml_string(body.model_xml())
         found[name] = distances(model, body.skeleton)
     return found

@@ -205,9 +205,7 @@ def longest_run(frame: pd.DataFrame, method: str, body: str) -> str:
 
 
 def _episode_s(body: str) -> float:
-    found = bodies.get(body)
-    assert isinstance(found, MujocoBody)
-    return MAX_STEPS * found.control_step_s
+    return MAX_STEPS * bodies.of_kind(body, MujocoBody).control_step_s
 
 
 def _name(cell: Any) -> str:

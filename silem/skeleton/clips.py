@@ -9,7 +9,6 @@ from typing import Any
 from tqdm import tqdm
 
 from silem import demonstrations as demos
-from silem import files, paths
 from silem.demonstrations import Demonstrations
 from silem.skeleton import fetch
 from silem.skeleton.demonstrator import (
@@ -25,7 +24,6 @@ FEATURES_VERSION = 1
 """How a clip becomes features: to be raised, and the clips published anew, when numbers change."""
 
 _EXTRA = ("qpos", "qvel", "points", "torso_axes", "com_velocity")
-_WAIT_S = 600.0
 
 
 def published_name(clip: str) -> str:
@@ -70,8 +68,7 @@ def publish_clips(clips: Sequence[str] = CLIPS, *, progress: bool = False) -> li
         SilemError: As `load_motion`, or another process is publishing.
     """
     written = []
-    # One lock for all demonstrations, because they share the manifest.
-    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+    with demos.publishing():
         for clip in tqdm(clips, "clips", disable=not progress):
             motion = load_motion(clip)
             written.append(

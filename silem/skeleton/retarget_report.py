@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from silem import bodies, files, paper, paths
+from silem import bodies, paper
 from silem import demonstrations as demos
 from silem.bodies import atlas
 from silem.bodies.body import MujocoBody
@@ -37,16 +37,13 @@ _ARRAYS = (
     "sole_height_m",
 )
 _COPIED = ("source", "source_sha256", "licence", "acknowledgement")  # from the clip's entry
-_WAIT_S = 600.0
 
 
 def learner(name: str) -> MujocoBody:
     """Return a humanoid as Peng20 has it: Atlas with the ankles of its best combination."""
     if name == "Atlas":
         return atlas.body(paper.best_combination(name, "peng20")["ankle_range_rad"])
-    body = bodies.get(name)
-    assert isinstance(body, MujocoBody)
-    return body
+    return bodies.of_kind(name, MujocoBody)
 
 
 def summary(result: IKResult) -> dict[str, Any]:
@@ -89,7 +86,7 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
     """
     motion = published_motion(clip)
     written = []
-    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+    with demos.publishing():
         for body in BODIES:
             result = retarget_clip(motion, learner(body), progress_bar=progress)
             extra = {array: getattr(result, array) for array in _ARRAYS}

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from silem import bodies, files, paths
+from silem import files, paths
 from silem.config import DEMONSTRATOR_SEED, RunConfig
 from silem.demonstrations import file_of
 from silem.errors import SilemError
@@ -84,8 +84,7 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
 def _recording(config: RunConfig, waiting: set[str]) -> Task:
     """Return the task that records the demonstrations that a run needs."""
     body, budget = config.demonstrations, config.budget
-    if body not in bodies.names():
-        raise SilemError(f"{config.run_id} needs {file_of(body)}; `python -m silem mocap` makes it")
+    runs.check_made_by_an_expert(body)
     expert = RunConfig.create(body, "ppo", None, budget, DEMONSTRATOR_SEED, study=config.study)
     if expert.run_id not in waiting and runs.find(expert.run_id) is None:
         raise SilemError(

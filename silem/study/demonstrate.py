@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from silem import demonstrations as demos
-from silem import files, paths
 from silem.errors import SilemError
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
-
-_WAIT_S = 600.0
 
 
 def demonstrate(
@@ -38,8 +35,7 @@ def demonstrate(
     if n_trajectories < 1:
         raise SilemError(f"demonstrations need 1 trajectory or more, not {n_trajectories}")
     path = demos.file_of(body)
-    # One lock for all bodies, because they share the manifest.
-    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+    with demos.publishing():
         if path.exists() and not force:
             there = demos.Demonstrations.load(body)
             if there.expert_run_id == record.run_id and len(there.features) == n_trajectories:

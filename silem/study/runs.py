@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from silem import bodies, files, paths
 from silem import demonstrations as demos
-from silem import files, paths
 from silem.config import RunConfig
 from silem.demonstrations import Demonstrations
 from silem.errors import SilemError
@@ -213,9 +213,8 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
     if not config.demonstrations:
         return None, None
     path = demos.file_of(config.demonstrations)
-    if not path.exists() and config.learner.engine == "mujoco":
-        raise SilemError(f"there is no {path}; `python -m silem mocap` makes it")
     if not path.exists():
+        check_made_by_an_expert(config.demonstrations)
         raise SilemError(
             f"there are no demonstrations of {config.demonstrations} ({path}); train its expert"
             f" with `python -m silem run --body {config.demonstrations} --method ppo`, then record"
@@ -223,3 +222,10 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
             " --budget)"
         )
     return Demonstrations.load(config.demonstrations), files.sha256(path)
+
+
+def check_made_by_an_expert(demonstrations: str) -> None:
+    """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
+    if demonstrations not in bodies.names():
+        path = demos.file_of(demonstrations)
+        raise SilemError(f"there is no {path}; `python -m silem mocap` makes it")
