@@ -71,7 +71,7 @@ BUDGETS = {
         # minutes: to see it learn
         Budget("quick", 8, _STEPS, 60, 1, 10, 20),
         # the committed evidence
-        Budget("book", 8, _STEPS, 400, _TRIALS, 100, 25),
+        Budget("book", 8, _STEPS, 800, _TRIALS, 100, 25),
         Budget(
             "paper", 8, _STEPS, _PPO["n_iterations"], _TRIALS, paper.number("n_eval_episodes"), 25
         ),
@@ -95,12 +95,9 @@ HUMANOIDS: dict[str, dict[str, int]] = {
 }
 """What each budget counts differently for humanoids."""
 
-LONGER = {("book", "HC1"): 800}
-"""Iterations where a body needs more than its budget's: at 400 HC1's expert still stands still."""
 
-
-def of_body(budget: Budget, body: str, family: str) -> Budget:
-    """Return a budget with the counts it has on a body, the same for every method there.
+def of_family(budget: Budget, family: str) -> Budget:
+    """Return a budget with the counts it has on a family, the same for every body and method.
 
     A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
     stays as it is.
@@ -108,9 +105,7 @@ def of_body(budget: Budget, body: str, family: str) -> Budget:
     base = BUDGETS.get(budget.base_name)
     if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
         return budget
-    counts: dict[str, Any] = {"n_iterations": LONGER.get((base.name, body), base.n_iterations)}
-    if family == "humanoid":
-        counts |= HUMANOIDS[base.name]
+    counts: dict[str, Any] = dict(HUMANOIDS[base.name]) if family == "humanoid" else {}
     if budget != base:
-        del counts["n_iterations"]
+        counts.pop("n_iterations", None)
     return dataclasses.replace(budget, **counts)

@@ -16,7 +16,7 @@ from typing import Any
 
 from silem import bodies, defaults
 from silem.bodies import Body, atlas
-from silem.budgets import BUDGETS, Budget, of_body
+from silem.budgets import BUDGETS, Budget, of_family
 from silem.defaults import HUMAN, ORIGINAL_BODIES, retargeted
 from silem.errors import SilemError, choose
 from silem.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
@@ -91,7 +91,7 @@ class RunConfig:
         demonstrations = defaults.demonstrations(body, method, family, demonstrations)
         if isinstance(budget, str):
             budget = BUDGETS[choose("budget", budget, BUDGETS)]
-        budget = of_body(budget, body, family)
+        budget = of_family(budget, family)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
         study = family if study is None else study

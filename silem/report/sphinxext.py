@@ -20,7 +20,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from silem import paper
-from silem.budgets import BUDGETS, LONGER, Budget
+from silem.budgets import BUDGETS, Budget, of_family
 from silem.errors import SilemError
 from silem.hyperparameters import METHODS, HyperParameters
 from silem.paper_types import PaperTable
@@ -199,11 +199,11 @@ class BudgetsDirective(TableDirective):
 
 
 def iterations(budget: Budget) -> str:
-    """Write a budget's iterations, and the bodies on which it has more."""
-    longer = [
-        f"{as_text(n)} on {body}" for (name, body), n in LONGER.items() if name == budget.name
-    ]
-    return ", ".join([as_text(budget.n_iterations), *longer])
+    """Write a budget's iterations, and the humanoids' where those are others."""
+    humanoids = of_family(budget, "humanoid").n_iterations
+    text = as_text(budget.n_iterations)
+    same = humanoids == budget.n_iterations
+    return text if same else f"{text}; humanoids {as_text(humanoids)}"
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
