@@ -16,7 +16,7 @@ from dm_control import suite
 
 from benchmarks.measurement import Batched, Measurement, Row, Single
 from silem.envs import MujocoEnv, MujocoVecEnv
-from silem.envs.mujoco import body_of
+from silem.envs.mujoco.simulator import body_of
 
 PEER = "dm_control humanoid walk"
 N_ENVS = (1, 8, 16)

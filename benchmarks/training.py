@@ -25,9 +25,9 @@ from tqdm import tqdm
 import silem
 from benchmarks import bullet, humanoids
 from silem import bodies
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
 from silem.envs import BulletVecEnv, MujocoVecEnv
+from silem.motion.demonstrations import Demonstrations
+from silem.study.config import RunConfig
 from silem.study.training import make_model
 
 METHODS = {

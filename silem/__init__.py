@@ -7,17 +7,16 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down
 
-import silem.offscreen  # noqa: F401  before anything imports MuJoCo
+import silem.util.offscreen  # noqa: F401  before anything imports MuJoCo
 from silem import bodies
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
+from silem.algorithms import PPO, SILEM, TPIL
 from silem.envs import make_vec
-from silem.errors import SilemError
-from silem.imitation import SILEM, TPIL
-from silem.learning import PPO
+from silem.motion.demonstrations import Demonstrations
+from silem.study.config import RunConfig
 from silem.study.evaluate import evaluate
 from silem.study.record import RunRecord
 from silem.study.runs import run
+from silem.util.errors import SilemError
 
 __all__ = [
     "PPO",

@@ -8,15 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from silem import bodies, paths
+from silem import bodies
 from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
-from silem.config import BUDGETS, DEMONSTRATOR_SEED, RunConfig
-from silem.errors import SilemError, choose
 from silem.study import campaign, runs, studies
+from silem.study.config import BUDGETS, DEMONSTRATOR_SEED, RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import evaluate
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.util import paths
+from silem.util.errors import SilemError, choose
 
 _EXAMPLES = """\
 examples:
@@ -159,8 +160,8 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _mocap(options: argparse.Namespace) -> None:
-    from silem.skeleton.clips import publish_clips
-    from silem.skeleton.retarget_report import publish_retargeted
+    from silem.motion.clips import publish_clips
+    from silem.motion.retarget_report import publish_retargeted
 
     progress = not options.quiet
     for path in (*publish_clips(progress=progress), *publish_retargeted(progress=progress)):

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from silem import files
-from silem.config import BUDGETS, METHODS, Budget, RunConfig
-from silem.errors import SilemError, choose
+from silem.study.config import BUDGETS, METHODS, Budget, RunConfig
+from silem.util import files
+from silem.util.errors import SilemError, choose
 
 Execute = Callable[[argparse.Namespace], None]
 

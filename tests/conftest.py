@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch as th
 
-import silem.offscreen  # noqa: F401  before a test imports MuJoCo, which then draws by it
+import silem.util.offscreen  # noqa: F401  before a test imports MuJoCo, which then draws by it
 
 th.set_num_threads(1)
 

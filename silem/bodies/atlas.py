@@ -26,7 +26,7 @@ import numpy as np
 from silem.bodies import atlas_model
 from silem.bodies.body import Motor, MujocoBody, Skeleton
 from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 SKELETON = Skeleton(
     torso="utorso",

@@ -1,4 +1,4 @@
-"""The MJCF model of Atlas v4, built from the constants in `data/bodies/atlas_v4.json`.
+"""The MJCF model of Atlas v4, built from the constants in `silem/bodies/atlas_v4.json`.
 
 Masses, inertias, joint axes, limits, efforts and shapes are the published ones. What a simulation
 needs beside them:
@@ -23,16 +23,16 @@ import functools
 import itertools
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from silem.bodies import atlas_scene
-from silem.errors import SilemError
-from silem.paths import REPO
+from silem.util.errors import SilemError
 
-SOURCE = REPO / "data" / "bodies" / "atlas_v4.json"
+SOURCE = Path(__file__).with_name("atlas_v4.json")
 """The published constants of the robot; the file says whence they come."""
 
 ROOT = "pelvis"

@@ -12,7 +12,7 @@ from typing import Any
 import pybullet
 
 from silem.bodies.body import BulletBody
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
 _FLAGS = (

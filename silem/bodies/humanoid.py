@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from silem.bodies.body import Motor, MujocoBody, Skeleton
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 ARM_FACTORS = {"left": 0.5, "right": 1.5}
 """HumanoidR's arm lengths as multiples of Humanoid's. The paper says "elongating Humanoid's right

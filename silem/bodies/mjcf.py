@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pybullet_data
 
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 
 def source(name: str) -> str:

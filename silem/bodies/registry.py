@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from silem.bodies.body import Body
-from silem.errors import SilemError, choose
+from silem.util.errors import SilemError, choose
 
 Kind = TypeVar("Kind", bound=Body)
 

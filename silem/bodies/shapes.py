@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from silem.bodies.body import Body
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 
 @dataclass(frozen=True)

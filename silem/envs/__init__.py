@@ -8,13 +8,13 @@ import gymnasium
 
 from silem import bodies
 from silem.bodies import Body
-from silem.envs.batched import MAX_STEPS, BatchedEnv
-from silem.envs.bullet import BulletVecEnv
-from silem.envs.humanoids import MujocoVecEnv
-from silem.envs.mujoco_camera import MujocoCamera
-from silem.envs.rendering import Camera
-from silem.envs.single import BulletEnv
-from silem.envs.single_humanoid import MujocoEnv
+from silem.envs.base import MAX_STEPS, BatchedEnv
+from silem.envs.bullet.camera import Camera
+from silem.envs.bullet.single_env import BulletEnv
+from silem.envs.bullet.vec_env import BulletVecEnv
+from silem.envs.mujoco.camera import MujocoCamera
+from silem.envs.mujoco.single_env import MujocoEnv
+from silem.envs.mujoco.vec_env import MujocoVecEnv
 
 __all__ = [
     "BatchedEnv",
@@ -50,8 +50,8 @@ def make_vec(
 
 
 _ENTRY_POINTS = {
-    "bullet": "silem.envs.single:BulletEnv",
-    "mujoco": "silem.envs.single_humanoid:MujocoEnv",
+    "bullet": "silem.envs.bullet.single_env:BulletEnv",
+    "mujoco": "silem.envs.mujoco.single_env:MujocoEnv",
 }
 
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 
 class Pictures(Protocol):

@@ -24,10 +24,10 @@ from pathlib import Path
 
 import nbformat
 
-from silem.errors import SilemError
-from silem.files import lock, read_json, write_json
-from silem.paths import REPO, data_dir
 from silem.report.execution import Parameters, execute_notebooks
+from silem.util.errors import SilemError
+from silem.util.files import lock, read_json, write_json
+from silem.util.paths import REPO, data_dir
 
 STATE = "book.json"  # what a finished build was made from
 
@@ -109,7 +109,7 @@ def _files(folders: Iterable[Path]) -> list[Path]:
 
 def source_digest() -> str:
     """Return one SHA-256 over everything the book is made from: code, words, records."""
-    folders = [REPO / name for name in ("book", "notebooks", "silem", "data/paper", "data/search")]
+    folders = [REPO / name for name in ("book", "notebooks", "silem", "silem/paper", "data/search")]
     folders += [data_dir() / name for name in ("results", "demonstrations")]
     single = [REPO / name for name in ("_config.yml", "_toc.yml", "environment.txt")]
     digest = hashlib.sha256()

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from silem.errors import SilemError
-from silem.paths import REPO
 from silem.report import diagram, figures, results, style
+from silem.util.errors import SilemError
+from silem.util.paths import REPO
 
 FOLDER = REPO / "book" / "figures"
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 CELL_TIMEOUT_S = 900
 

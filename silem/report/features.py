@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from silem import bodies
 from silem.bodies import Body, BulletBody
-from silem.skeleton.features import FEATURES
+from silem.motion.features import FEATURES
 
 _TORSO = (
     "height above start",
@@ -40,9 +40,10 @@ class Group(NamedTuple):
 def feature_names(body: str) -> list[str]:
     """Name a body's skeletal features, in their order.
 
-    A PyBullet body's are its observation (g is the identity, `silem.envs.tasks.LocomotionTask`):
-    the torso's, then each motor's angle and velocity, then the feet's contacts. A humanoid's are
-    `silem.skeleton.features.FEATURES`.
+    A PyBullet body's are its observation (g is the identity, see
+    `silem.envs.bullet.task.LocomotionTask`): the torso's, then each motor's angle and velocity,
+    then the feet's contacts. A humanoid's are
+    `silem.motion.features.FEATURES`.
 
     Args:
         body: The body's name.

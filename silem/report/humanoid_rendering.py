@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
-from silem import seeding
 from silem.bodies import MujocoBody
 from silem.envs import MujocoCamera
-from silem.envs.mujoco import Simulation, body_of, start_state
-from silem.errors import SilemError
+from silem.envs.mujoco.simulator import Simulation, body_of, start_state
 from silem.report import rendering
 from silem.report.motion_video import STATES_PER_PICTURE
 from silem.report.video import Clip, labelled, side_by_side
+from silem.util import seeding
+from silem.util.errors import SilemError
 
 NO_PICTURE = "No picture: nothing can be drawn offscreen here."
 

@@ -12,11 +12,11 @@ import pandas as pd
 from silem import paper
 from silem.bodies import MujocoBody
 from silem.bodies.describe import describe
-from silem.envs.batched import MAX_STEPS
-from silem.envs.mujoco import body_of
+from silem.envs.base import MAX_STEPS
+from silem.envs.mujoco.simulator import body_of
+from silem.motion.features import POINTS, Landmarks
+from silem.motion.targets import Limbs
 from silem.report import limbs
-from silem.skeleton.features import POINTS, Landmarks
-from silem.skeleton.targets import Limbs
 from silem.study.evaluate import Policy, evaluate, random_policy
 
 _ALIKE = {  # joints of Humanoid and of Atlas that do the same

@@ -14,10 +14,10 @@ from pandas.io.formats.style import Styler
 
 from silem import bodies, paper
 from silem.bodies import MujocoBody, Skeleton
-from silem.errors import SilemError
+from silem.motion import demonstrator
+from silem.motion.features import POINTS, Landmarks
 from silem.report.tables import DASH, number, styled
-from silem.skeleton import demonstrator
-from silem.skeleton.features import POINTS, Landmarks
+from silem.util.errors import SilemError
 
 DEMONSTRATOR = "demonstrator"
 LIMBS = ("left_foot", "right_foot", "left_hand", "right_hand")

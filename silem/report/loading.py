@@ -9,12 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from silem import bodies, files, paths
-from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, RunConfig
-from silem.errors import SilemError, choose
+from silem import bodies
 from silem.report.validation import validate
+from silem.study.config import BUDGETS, METHODS, TRIAL_SEEDS, RunConfig
 from silem.study.record import RECORD, RunRecord
 from silem.study.studies import cells, study_configs
+from silem.util import files, paths
+from silem.util.errors import SilemError, choose
 
 KEYS = ["body", "method", "demonstrations", "seed"]
 COLUMNS = [

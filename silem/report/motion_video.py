@@ -9,10 +9,10 @@ from dm_control.suite import humanoid_CMU
 
 from silem.bodies import MujocoBody
 from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
-from silem.errors import SilemError
+from silem.motion.demonstrator import BODY, SKELETON, Motion
 from silem.report import rendering
 from silem.report.video import Clip
-from silem.skeleton.demonstrator import BODY, SKELETON, Motion
+from silem.util.errors import SilemError
 
 STATES_PER_PICTURE = 2
 """20 pictures a second show a walk; each costs as much to draw as many states cost to simulate."""

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from myst_nb import glue
 from pandas.io.formats.style import Styler
 
-from silem.config import TRIAL_SEEDS
 from silem.report import results, style, tables
 from silem.report.parameters import literal_assignments, parameters
 from silem.report.rendering import rollout, why_no_pictures
 from silem.report.video import Clip, encode_mp4, encode_png, side_by_side
+from silem.study.config import TRIAL_SEEDS
 from silem.study.policies import load_policy
 from silem.study.record import POLICY
 

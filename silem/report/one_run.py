@@ -13,13 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
-from silem import bodies, files
-from silem.demonstrations import Demonstrations
-from silem.envs.simulator import STEP_S
-from silem.errors import SilemError, choose
+from silem import bodies
+from silem.envs.bullet.simulator import STEP_S
+from silem.motion.demonstrations import Demonstrations
 from silem.report import style
 from silem.report.features import Group, feature_groups, feature_names
 from silem.study.record import CURVE, TRANSFORM, RunRecord
+from silem.util import files
+from silem.util.errors import SilemError, choose
 
 # Curve columns by panel: title, and each line's label.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (

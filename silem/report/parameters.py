@@ -15,7 +15,7 @@ from itertools import chain, groupby
 from types import SimpleNamespace
 from typing import Any
 
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 _PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 

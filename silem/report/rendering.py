@@ -11,17 +11,18 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import silem
-from silem import bodies, seeding
+from silem import bodies
 from silem.bodies import Body, BulletBody, MujocoBody
 from silem.envs import MujocoCamera
+from silem.envs.bullet.camera import Camera
+from silem.envs.bullet.simulator import STEP_S, Simulator
 from silem.envs.filmed import Filmed
-from silem.envs.mujoco import Simulation, body_of
-from silem.envs.rendering import Camera
-from silem.envs.simulator import STEP_S, Simulator
-from silem.errors import SilemError
+from silem.envs.mujoco.simulator import Simulation, body_of
 from silem.report import style
 from silem.report.video import Clip
 from silem.study.evaluate import Policy, random_policy
+from silem.util import seeding
+from silem.util.errors import SilemError
 
 _STEPS_PER_FRAME = {"bullet": 2, "mujoco": 1}
 """Control steps from one frame to the next: 30 and 40 frames per simulated second."""

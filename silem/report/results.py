@@ -12,14 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from silem import bodies, files
-from silem.config import BUDGETS, ORIGINAL_BODIES
-from silem.errors import SilemError
+from silem import bodies
 from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
+from silem.study.config import BUDGETS, ORIGINAL_BODIES
 from silem.study.curve import COLUMNS as CURVE_COLUMNS
 from silem.study.record import CURVE, TRANSFORM, RunRecord
 from silem.study.studies import cells
+from silem.util import files
+from silem.util.errors import SilemError
 
 __all__ = [
     "COLUMNS", "KEYS", "body_names", "cell", "context", "describe", "find", "is_evidence",

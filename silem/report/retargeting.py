@@ -8,15 +8,14 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from silem.config import HUMAN, RunConfig, retargeted
-from silem.envs.mujoco import body_of
-from silem.skeleton.demonstrator import Motion
-from silem.skeleton.features import POINTS
-from silem.skeleton.inverse_kinematics import PoseSolver
-from silem.skeleton.retarget import TOLERANCE_M, IKResult
-from silem.skeleton.retarget_report import learner
-from silem.skeleton.starts import demonstration_states
-from silem.skeleton.targets import (
+from silem.envs.mujoco.simulator import body_of
+from silem.motion.demonstrator import Motion
+from silem.motion.features import POINTS
+from silem.motion.inverse_kinematics import PoseSolver
+from silem.motion.retarget import TOLERANCE_M, IKResult
+from silem.motion.retarget_report import learner
+from silem.motion.starts import demonstration_states
+from silem.motion.targets import (
     SIDES,
     TARGETS,
     Limbs,
@@ -24,6 +23,7 @@ from silem.skeleton.targets import (
     standing_feet,
     targets,
 )
+from silem.study.config import HUMAN, RunConfig, retargeted
 
 _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from silem.errors import SilemError
+from silem.motion.demonstrator import Motion
+from silem.motion.retarget import IKResult
+from silem.motion.retarget_report import learner
 from silem.report import motion_video, rendering
 from silem.report.motion_video import STATES_PER_PICTURE
 from silem.report.video import Clip, side_by_side
-from silem.skeleton.demonstrator import Motion
-from silem.skeleton.retarget import IKResult
-from silem.skeleton.retarget_report import learner
+from silem.util.errors import SilemError
 
 _WIDTH, _HEIGHT = 320, 440  # pixels of one panel
 

@@ -16,9 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
-from silem import bodies, files, paths
-from silem.errors import SilemError, choose
+from silem import bodies
 from silem.report import results, style, tables
+from silem.util import files, paths
+from silem.util.errors import SilemError, choose
 
 _SHARED = {
     "gradient_penalty": "gradient penalty",

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from silem.errors import SilemError
+from silem.motion.features import POINTS
 from silem.report import style
 from silem.report.figures.motion import SIDE_COLORS, draw_pose
-from silem.skeleton.features import POINTS
+from silem.util.errors import SilemError
 
 _AZIMUTH_DEG = 25.0  # seen from the right and a little from the front, level with the floor
 _METRE = float(np.cos(np.deg2rad(_AZIMUTH_DEG)))  # a metre of the way, as long as it is seen
@@ -29,7 +29,7 @@ def humanoids(
 
     Args:
         points: The demonstrator's landmarks in the world in m, (T, P, 3), in the order of
-            `silem.skeleton.features.POINTS`.
+            `silem.motion.features.POINTS`.
         pictures: Of each learner, (H, W, 3), by its name.
         rate_hz: States per second of `points`.
         n_poses: How many poses of the walk to show.

@@ -20,10 +20,10 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from silem import paper
-from silem.budgets import BUDGETS, Budget, of_family
-from silem.errors import SilemError
-from silem.hyperparameters import METHODS, HyperParameters
-from silem.paper_types import PaperTable
+from silem.paper.types import PaperTable
+from silem.study.budgets import BUDGETS, Budget, of_family
+from silem.study.hyperparameters import METHODS, HyperParameters
+from silem.util.errors import SilemError
 
 Row = Sequence[str]
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -106,7 +106,7 @@ def _line(cells: Iterable[str]) -> str:
 
 
 class PaperTableDirective(TableDirective):
-    """One table of the paper, by its key in ``data/paper``."""
+    """One table of the paper, by its key in ``silem/paper``."""
 
     required_arguments = 1
 
@@ -169,9 +169,7 @@ class SettingsDirective(TableDirective):
             learned = [method for method in METHODS if method != "random"]
             everyone = set(users) == set(learned)
             rows.append((f"`{field.name}`", text, "all" if everyone else ", ".join(users)))
-        caption = (
-            "The hyper-parameters of `silem.hyperparameters.HyperParameters`, their defaults, "
-        )
+        caption = "The hyper-parameters of `HyperParameters`, their defaults, "
         caption += "and the methods that use each. The paper's best combination of a cell replaces "
         caption += "the defaults."
         return self.markdown_table("settings", caption, ("Name", "Default", "Used by"), rows)

@@ -22,8 +22,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from silem import files
-from silem.errors import choose
+from silem.util import files
+from silem.util.errors import choose
 
 WIDTH_IN = 7.6
 """Width of a figure that fills the book's text column, inches."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from silem.errors import SilemError
 from silem.study.record import RunRecord
+from silem.util.errors import SilemError
 
 
 def validate(folder: Path) -> RunRecord:

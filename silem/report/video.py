@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from silem import files
-from silem.errors import SilemError, choose
+from silem.util import files
+from silem.util.errors import SilemError, choose
 
 _INK, _CHALK = (32, 32, 32), (245, 245, 245)
 _DARK = 96  # a background of less light than this gets a label in chalk

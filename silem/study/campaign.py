@@ -18,15 +18,15 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from silem import files, paths
-from silem.config import DEMONSTRATOR_SEED, RunConfig
-from silem.demonstrations import file_of
-from silem.errors import SilemError
+from silem.motion.demonstrations import file_of
 from silem.study import runs
+from silem.study.config import DEMONSTRATOR_SEED, RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
 from silem.study.studies import Cell, cells, study_configs
 from silem.study.training import PROGRESS
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 __all__ = ["Cell", "Task", "campaign", "cells", "plan", "study_configs"]
 

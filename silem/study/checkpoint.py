@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from silem import files
-from silem.errors import SilemError
 from silem.study.curve import COLUMNS
+from silem.util import files
+from silem.util.errors import SilemError
 
 CHECKPOINT = "checkpoint.safetensors"
 _MODEL = "model/"

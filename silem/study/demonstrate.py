@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from silem import demonstrations as demos
-from silem.errors import SilemError
+from silem.motion import demonstrations as demos
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.util.errors import SilemError
 
 
 def demonstrate(

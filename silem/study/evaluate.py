@@ -13,14 +13,15 @@ from typing import Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from silem import bodies, seeding
+from silem import bodies
+from silem.algorithms.features import INFO_KEY, LearnerFeatures
+from silem.algorithms.gaifo import AdversarialImitation
+from silem.algorithms.windows import episode_windows
 from silem.bodies import Body
-from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
-from silem.errors import SilemError
-from silem.imitation.adversarial import AdversarialImitation
-from silem.imitation.features import INFO_KEY, LearnerFeatures
-from silem.imitation.windows import episode_windows
+from silem.motion.demonstrations import Demonstrations
+from silem.util import seeding
+from silem.util.errors import SilemError
 
 EVALUATION_SEED = seeding.child_seed(0, "evaluation")
 """The seed of every evaluation, whatever the method and the trial: all meet the same starts."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from silem import files
 from silem.envs import make_vec
 from silem.study.evaluate import Policy, random_policy
 from silem.study.record import POLICY, RunRecord
 from silem.study.training import make_policy_model
+from silem.util import files
 
 
 def load_policy(record: RunRecord) -> Policy:

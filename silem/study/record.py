@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from silem import files, paths
-from silem.config import RunConfig
-from silem.errors import SilemError, choose
+from silem.study.config import RunConfig
+from silem.util import files, paths
+from silem.util.errors import SilemError, choose
 
 RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"

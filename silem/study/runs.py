@@ -10,21 +10,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from silem import bodies, files, paths
-from silem import demonstrations as demos
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
-from silem.imitation.adversarial import AdversarialImitation
-from silem.imitation.silem import SILEM
-from silem.imitation.transforms import AffineTransform
-from silem.learning.ppo import PPO
+from silem import bodies
+from silem.algorithms.gaifo import AdversarialImitation
+from silem.algorithms.ppo import PPO
+from silem.algorithms.silem import SILEM
+from silem.algorithms.transforms import AffineTransform
+from silem.motion import demonstrations as demos
+from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.config import RunConfig
 from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
 from silem.study.training import PROGRESS, Segments, make_env, make_model, train
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 LOCK = "run.lock"
 

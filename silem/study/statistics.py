@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from silem.errors import SilemError
+from silem.util.errors import SilemError
 
 LEVEL = 0.95
 N_RESAMPLES = 10_000

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import paper
-from silem.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
-from silem.errors import SilemError, choose
 from silem.study import runs
+from silem.study.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
+from silem.util.errors import SilemError, choose
 
 
 @dataclass(frozen=True)

@@ -13,17 +13,17 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 from tqdm import tqdm
 
-from silem import files, seeding
-from silem.config import HUMAN, RunConfig, retargeted
-from silem.demonstrations import Demonstrations
+from silem.algorithms.gaifo import AdversarialImitation
+from silem.algorithms.ppo import PPO
+from silem.algorithms.silem import SILEM
+from silem.algorithms.tpil import TPIL
 from silem.envs import make_vec
-from silem.envs.mujoco import body_of
-from silem.imitation.adversarial import AdversarialImitation
-from silem.imitation.silem import SILEM
-from silem.imitation.tpil import TPIL
-from silem.learning.ppo import PPO
+from silem.envs.mujoco.simulator import body_of
+from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.util import files, seeding
 
 PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
@@ -50,7 +50,7 @@ def make_env(config: RunConfig) -> VecEnv:
     options: dict[str, Any] = {}
     if config.hyper.starts == "demonstration":
         # inverse kinematics and motion capture come with it, which no other run needs
-        from silem.skeleton.starts import demonstration_states
+        from silem.motion.starts import demonstration_states
 
         name = retargeted(HUMAN, config.body)
         options["starts"] = demonstration_states(name, body_of(config.learner))

@@ -10,9 +10,9 @@ import filelock
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from silem.errors import SilemError
-from silem.paths import REPO
 from silem.report import bookbuild
+from silem.util.errors import SilemError
+from silem.util.paths import REPO
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
 QUIET = ["--disable-background-networking", "--disable-component-update", "--disable-quic"]

@@ -9,9 +9,9 @@ import papermill
 import pytest
 from nbformat import v4
 
-from silem.errors import SilemError
-from silem.paths import REPO
 from silem.report import bookbuild, execution
+from silem.util.errors import SilemError
+from silem.util.paths import REPO
 
 
 def write_notebook(path: Path, *sources: str) -> Path:

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from playwright.sync_api import Browser, Page
 
-from silem.paths import REPO
+from silem.util.paths import REPO
 
 # One worker reads the book: it is built once and opened by one browser.
 pytestmark = pytest.mark.xdist_group("book")

@@ -7,8 +7,8 @@ from docutils.core import publish_doctree
 from docutils.parsers.rst import roles
 
 from silem import paper
-from silem.hyperparameters import HyperParameters
 from silem.report import sphinxext
+from silem.study.hyperparameters import HyperParameters
 
 
 @pytest.mark.parametrize(

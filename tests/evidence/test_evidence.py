@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from silem import files, paths
-from silem.config import DEMONSTRATOR_SEED, HUMAN, TRIAL_SEEDS
-from silem.demonstrations import MANIFEST, Demonstrations
-from silem.envs import walking
+from silem.envs.mujoco import task as walking
+from silem.motion.demonstrations import MANIFEST, Demonstrations
+from silem.motion.features import FEATURES
 from silem.report import figures, results
 from silem.report.validation import validate
-from silem.skeleton.features import FEATURES
+from silem.study.config import DEMONSTRATOR_SEED, HUMAN, TRIAL_SEEDS
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.util import files, paths
 
 DATA = paths.REPO / "data"
 RECORDS = sorted((DATA / "results").glob(f"*/*/{RECORD}"))

@@ -12,7 +12,7 @@ from stable_baselines3 import PPO as SB3PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 import silem
-from silem.learning.flat_actor_critic import FlatActorCritic, MiniBatch
+from silem.algorithms.fast_mlp import FlatActorCritic, MiniBatch
 
 CLIP, ENT, VF = 0.2, 0.01, 0.5
 
@@ -103,7 +103,7 @@ def test_train_equals_stable_baselines3(max_grad_norm: float, monkeypatch) -> No
         )
 
 
-class _StopBeforeTraining(silem.learning.ppo.BaseCallback):
+class _StopBeforeTraining(silem.algorithms.ppo.BaseCallback):
     """Let one rollout be collected; end learning at its last moment."""
 
     def _on_step(self) -> bool:
@@ -142,7 +142,7 @@ def test_save_load_predict_and_resume(env_id: str, tmp_path) -> None:
 
 def test_normalizer_equals_the_moments_of_all_it_saw(rng: np.random.Generator) -> None:
     batches = [rng.normal(3.0, 2.0, (n, 4)) for n in (50, 7, 300)]
-    normalizer = silem.learning.ppo.RunningNormalizer(gym.spaces.Box(-1, 1, (4,)))
+    normalizer = silem.algorithms.ppo.RunningNormalizer(gym.spaces.Box(-1, 1, (4,)))
     for batch in batches:
         normalizer.update(batch)
     seen = np.concatenate(batches)

@@ -13,12 +13,12 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import configure
 
 from silem import SILEM, Demonstrations, SilemError
-from silem.imitation.discriminator import (
+from silem.algorithms.discriminator import (
     Discriminator,
     discriminator_loss,
     squared_gradient_norm,
 )
-from silem.imitation.transforms import l2_penalty, make_transform
+from silem.algorithms.transforms import l2_penalty, make_transform
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
 

@@ -12,9 +12,9 @@ from stable_baselines3.common.logger import configure
 from torch.nn import functional as F
 
 from silem import SilemError
-from silem.imitation import SILEM, TPIL
-from silem.imitation.gradient_reversal import reverse_gradient
-from silem.imitation.tpil import ThirdPersonDiscriminator
+from silem.algorithms import SILEM, TPIL
+from silem.algorithms.gradient_reversal import reverse_gradient
+from silem.algorithms.tpil import ThirdPersonDiscriminator
 from silem.study import curve
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]

@@ -8,8 +8,8 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from silem import SILEM, SilemError
-from silem.imitation.features import LearnerFeatures
-from silem.imitation.windows import WindowTracker, episode_windows
+from silem.algorithms.features import LearnerFeatures
+from silem.algorithms.windows import WindowTracker, episode_windows
 
 
 def test_episode_windows_by_hand() -> None:

@@ -14,12 +14,13 @@ import numpy as np
 import papermill
 import pytest
 
-from silem import demonstrations, files
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
 from silem.envs import make_vec
+from silem.motion import demonstrations
+from silem.motion.demonstrations import Demonstrations
+from silem.study.config import RunConfig
 from silem.study.policies import make_policy_model
 from silem.study.record import POLICY, RunRecord
+from silem.util import files
 
 REPO = Path(__file__).parents[2]
 NOTEBOOKS = sorted((REPO / "notebooks").glob("*.ipynb"))

@@ -10,8 +10,8 @@ import nbformat
 import pytest
 from conftest import NOTEBOOKS, REPO, Execute, glue_roles, output, said
 
-from silem.skeleton import fetch
-from silem.skeleton.demonstrator import CLIPS
+from silem.motion import fetch
+from silem.motion.demonstrator import CLIPS
 
 NAME = "09_demonstration"
 

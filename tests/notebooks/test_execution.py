@@ -20,10 +20,10 @@ from conftest import MISSING, Execute, glue_roles, output, said
 
 from silem import bodies, paper
 from silem.bodies.describe import describe
-from silem.config import RunConfig
 from silem.report import claims, results, scorecard, style
 from silem.report.features import feature_names
 from silem.study import runs
+from silem.study.config import RunConfig
 
 PAGES = ("05_halfcheetah", "06_affine_or_mlp", "07_scorecard")
 

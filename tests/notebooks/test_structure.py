@@ -11,8 +11,8 @@ import nbformat
 import pytest
 from conftest import NOTEBOOKS
 
-from silem.errors import SilemError
 from silem.report.notebook import literal_assignments
+from silem.util.errors import SilemError
 
 MAX_CODE_LINES = 15
 MAX_DOOR_LINES = 22  # the third cell: imports and parameters

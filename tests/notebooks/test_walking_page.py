@@ -12,9 +12,9 @@ from conftest import NOTEBOOKS, Execute, add_untrained_policy, glue_roles, outpu
 from test_execution import words
 from test_structure import prose
 
-from silem.config import RunConfig
 from silem.report import claims, results, walking
 from silem.report.rendering import why_no_pictures
+from silem.study.config import RunConfig
 from silem.study.studies import cells
 
 NAME = "12_walking"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from silem.bodies import MujocoBody, atlas, atlas_model
-from silem.errors import SilemError
-from silem.skeleton.features import FEATURES, POINTS, Landmarks, g
+from silem.motion.features import FEATURES, POINTS, Landmarks, g
+from silem.util.errors import SilemError
 
 WEIGHT_N = 182.42 * 9.81
 ANKLES = {f"{side}_leg_{axis}" for side in "lr" for axis in ("aky", "akx")}

@@ -15,8 +15,8 @@ import pytest
 from silem import bodies
 from silem.bodies import mjcf
 from silem.bodies.shapes import shapes
-from silem.envs.simulator import Simulator
-from silem.errors import SilemError
+from silem.envs.bullet.simulator import Simulator
+from silem.util.errors import SilemError
 
 MJCF = Path(pybullet_data.getDataPath()) / "mjcf"
 WATER_KG_M3 = 1000.0  # the density PyBullet gives to shapes

@@ -12,11 +12,11 @@ from dm_control import suite
 from silem import bodies
 from silem.bodies import humanoid
 from silem.envs import MujocoEnv, MujocoVecEnv, make_vec
-from silem.envs.humanoids import features_of
-from silem.envs.mujoco import Simulation
-from silem.envs.walking import observe
-from silem.errors import SilemError
-from silem.skeleton.features import FEATURES, Landmarks, g
+from silem.envs.mujoco.simulator import Simulation
+from silem.envs.mujoco.task import observe
+from silem.envs.mujoco.vec_env import features_of
+from silem.motion.features import FEATURES, Landmarks, g
+from silem.util.errors import SilemError
 
 ARM = ("upper_arm", "lower_arm", "hand")
 

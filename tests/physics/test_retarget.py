@@ -11,22 +11,22 @@ import pytest
 
 from silem import bodies
 from silem.bodies.body import MujocoBody
-from silem.defaults import HUMAN, retargeted
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
-from silem.skeleton import poses
-from silem.skeleton.clips import published_motion
-from silem.skeleton.demonstrator import Motion
-from silem.skeleton.features import FEATURES, POINTS, Landmarks, g
-from silem.skeleton.retarget import IKResult, retarget_clip
-from silem.skeleton.retarget_report import (
+from silem.motion import poses
+from silem.motion.clips import published_motion
+from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrator import Motion
+from silem.motion.features import FEATURES, POINTS, Landmarks, g
+from silem.motion.retarget import IKResult, retarget_clip
+from silem.motion.retarget_report import (
     BODIES,
     learner,
     published_retargeting,
     summary,
 )
-from silem.skeleton.soles import Soles
-from silem.skeleton.targets import STANCE_SPEED_M_S, TARGETS, Limbs, standing_feet, targets
+from silem.motion.soles import Soles
+from silem.motion.targets import STANCE_SPEED_M_S, TARGETS, Limbs, standing_feet, targets
+from silem.study.defaults import HUMAN, retargeted
+from silem.util.errors import SilemError
 
 LEFT_HAND = TARGETS.index("left_hand")
 SCALED_ATTRIBUTES = ("pos", "fromto", "size")

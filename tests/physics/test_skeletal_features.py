@@ -8,9 +8,9 @@ import pytest
 
 from silem import bodies
 from silem.bodies.body import Skeleton
-from silem.errors import SilemError
-from silem.skeleton import clips, demonstrator
-from silem.skeleton.features import FEATURES, POINTS, Landmarks, g, skeletal_features
+from silem.motion import clips, demonstrator
+from silem.motion.features import FEATURES, POINTS, Landmarks, g, skeletal_features
+from silem.util.errors import SilemError
 
 NAMES = [feature.name for feature in FEATURES]
 MODELS = (demonstrator.BODY, *bodies.names("humanoid"))

@@ -9,15 +9,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from silem import bodies, demonstrations, paths
+from silem import bodies
 from silem.bodies import MujocoBody, atlas
-from silem.config import HUMAN, RunConfig, retargeted
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
-from silem.skeleton.retarget_report import BODIES, learner, published_retargeting
-from silem.skeleton.soles import Soles
-from silem.skeleton.starts import demonstration_states
+from silem.motion import demonstrations
+from silem.motion.demonstrations import Demonstrations
+from silem.motion.retarget_report import BODIES, learner, published_retargeting
+from silem.motion.soles import Soles
+from silem.motion.starts import demonstration_states
+from silem.study.config import HUMAN, RunConfig, retargeted
 from silem.study.training import make_env
+from silem.util import paths
+from silem.util.errors import SilemError
 
 ANKLES = ("l_leg_aky", "l_leg_akx", "r_leg_aky", "r_leg_akx")
 

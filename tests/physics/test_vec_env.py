@@ -13,9 +13,9 @@ import pytest
 from stable_baselines3.common.vec_env import VecEnv
 
 from silem.envs import BulletEnv, BulletVecEnv, make_vec
-from silem.envs.simulator import STEP_S
-from silem.errors import SilemError
-from silem.paths import REPO
+from silem.envs.bullet.simulator import STEP_S
+from silem.util.errors import SilemError
+from silem.util.paths import REPO
 
 STEPS = 120
 SHORT = 50  # steps per episode, so that a rollout resets twice

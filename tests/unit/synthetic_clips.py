@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from silem.skeleton import demonstrator
-from silem.skeleton.mocap import read_amc, read_asf
+from silem.motion import demonstrator
+from silem.motion.mocap import read_amc, read_asf
 
 UNIT_M = 0.056444
 Column = Callable[[int, str, int], float]

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from silem import bodies, files, paths
-from silem.config import RunConfig
-from silem.skeleton.features import FEATURES
+from silem import bodies
+from silem.motion.features import FEATURES
 from silem.study import curve
+from silem.study.config import RunConfig
 from silem.study.record import RunRecord
 from silem.study.studies import study_configs
+from silem.util import files, paths
 
 HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
 EXPERT_RETURNS = {"HC0": 2450.0, "HC1": 1500.0, "HC2": 820.0}

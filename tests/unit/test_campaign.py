@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
-from silem import demonstrations, files, paths
-from silem.config import BUDGETS, RunConfig
-from silem.errors import SilemError
+from silem.motion import demonstrations
 from silem.study import campaign, runs
+from silem.study.config import BUDGETS, RunConfig
 from silem.study.studies import cells, study_configs
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 TINY = BUDGETS["tiny"]
 

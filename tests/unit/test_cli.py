@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from silem import bodies, files, paths
+from silem import bodies
 from silem.__main__ import main
-from silem.config import BUDGETS, RunConfig
 from silem.study import runs
+from silem.study.config import BUDGETS, RunConfig
+from silem.util import files, paths
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,8 @@ import pytest
 from silem import bodies, paper
 from silem.__main__ import config_of, parser
 from silem.bodies import humanoid, registry
-from silem.config import BUDGETS, METHODS, TRIAL_SEEDS, Budget, HyperParameters, RunConfig
-from silem.errors import SilemError
+from silem.study.config import BUDGETS, METHODS, TRIAL_SEEDS, Budget, HyperParameters, RunConfig
+from silem.util.errors import SilemError
 
 create = RunConfig.create
 
@@ -52,7 +52,11 @@ def test_one_clear_error_for_each_bad_request(arguments: dict[str, Any], message
 
 def test_defaults_and_the_supplements_combinations_are_filled_in() -> None:
     silem = create("HC2", "silem")
-    assert (silem.study, silem.demonstrations, silem.transform) == ("halfcheetah", "HC0", "affine")
+    assert (silem.study, silem.demonstrations, silem.transform) == (
+        "halfcheetah",
+        "HC0",
+        "affine",
+    )
     best = paper.best_combination("HC2", "silem", "HC0")
     assert {name: getattr(silem.hyper, name) for name in best} == best
     # HC0's expert demonstrates in both cells, with other best combinations.

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from silem import demonstrations as demos
-from silem import files
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
+from silem.motion import demonstrations as demos
+from silem.motion.demonstrations import Demonstrations
+from silem.util import files
+from silem.util.errors import SilemError
 
 
 def test_extra_arrays_travel_with_the_features(tmp_path: Path) -> None:

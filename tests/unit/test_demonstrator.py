@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from synthetic_clips import UNIT_M, Files, joints, skeleton_text, walk
 
-from silem import demonstrations as demos
-from silem import files, paths
-from silem.errors import SilemError
-from silem.skeleton import clips, demonstrator, fetch, poses
-from silem.skeleton.features import POINTS, skeletal_features
-from silem.skeleton.mocap import read_amc, read_asf
+from silem.motion import clips, demonstrator, fetch, poses
+from silem.motion import demonstrations as demos
+from silem.motion.features import POINTS, skeletal_features
+from silem.motion.mocap import read_amc, read_asf
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 RAW = Path(os.environ.get(fetch.ENV) or paths.REPO.parent / "shared" / "data" / "cmu_mocap")
 needs_raw = pytest.mark.skipif(

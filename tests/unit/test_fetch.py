@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from silem import files, paths
-from silem.errors import SilemError
-from silem.skeleton import fetch
+from silem.motion import fetch
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 NAME = "08/08.asf"
 CONTENT = b"one\ntwo\n"

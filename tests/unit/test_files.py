@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from silem import files
-from silem.errors import SilemError
+from silem.util import files
+from silem.util.errors import SilemError
 
 ARRAYS = {
     "weights": np.arange(12, dtype=np.float32).reshape(3, 4).T,  # not contiguous

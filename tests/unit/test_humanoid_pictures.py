@@ -11,13 +11,13 @@ import synthetic_records as synthetic
 from drawn import assert_readable, texts
 
 from silem import bodies
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
+from silem.motion.demonstrations import Demonstrations
+from silem.motion.features import POINTS
 from silem.report import limbs, notebook, one_run, rendering, skeleton
 from silem.report.features import feature_names
 from silem.report.video import Clip
-from silem.skeleton.features import POINTS
+from silem.study.config import RunConfig
+from silem.util.errors import SilemError
 
 needs_pictures = pytest.mark.skipif(
     bool(rendering.why_no_pictures("Humanoid")), reason="nothing can be drawn offscreen here"

@@ -13,13 +13,13 @@ import synthetic_records as synthetic
 from drawn import assert_readable, footer, lines_at, texts
 from matplotlib.figure import Figure
 
-from silem.config import RunConfig
-from silem.errors import SilemError
+from silem.motion.features import FEATURES
 from silem.report import claims, figures, results, scorecard, style, tables
 from silem.report.features import feature_groups, feature_names
-from silem.skeleton.features import FEATURES
 from silem.study import studies as plans
+from silem.study.config import RunConfig
 from silem.study.record import RunRecord
+from silem.util.errors import SilemError
 
 PLANNED = RunConfig.create("Atlas", "ppo", budget="book").budget.n_iterations
 HALF, MOST = PLANNED // 2, PLANNED * 3 // 4

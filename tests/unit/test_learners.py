@@ -8,9 +8,9 @@ from drawn import assert_readable
 
 from silem import bodies
 from silem.bodies import Body
-from silem.errors import SilemError
 from silem.report import humanoid_rendering, learners, rendering
 from silem.report.figures import reward
+from silem.util.errors import SilemError
 
 NAMES = bodies.names("humanoid")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from synthetic_clips import Files
 
-from silem.errors import SilemError
-from silem.skeleton.mocap import read_amc, read_asf
+from silem.motion.mocap import read_amc, read_asf
+from silem.util.errors import SilemError
 
 
 @pytest.fixture

@@ -15,14 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from silem import paper
-from silem.errors import SilemError
+from silem.motion import demonstrator, fetch
+from silem.motion.clips import published_motion
+from silem.motion.demonstrator import CLIPS, Motion
+from silem.motion.features import FEATURES, POINTS, Landmarks
+from silem.motion.targets import SIDES, standing_feet
 from silem.report import motion_video, rendering, style
 from silem.report.figures import motion as figures
-from silem.skeleton import demonstrator, fetch
-from silem.skeleton.clips import published_motion
-from silem.skeleton.demonstrator import CLIPS, Motion
-from silem.skeleton.features import FEATURES, POINTS, Landmarks
-from silem.skeleton.targets import SIDES, standing_feet
+from silem.util.errors import SilemError
 
 
 @pytest.fixture(autouse=True)

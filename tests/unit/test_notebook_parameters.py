@@ -9,8 +9,8 @@ import papermill
 import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 
-from silem.errors import SilemError
 from silem.report.notebook import parameters
+from silem.util.errors import SilemError
 
 SCHEMA = {"body": ["HC0", "HC1"], "seed": int, "video_s": float, "fast": bool}
 GOOD = {"body": "HC0", "seed": 3, "video_s": 1.5, "fast": False}

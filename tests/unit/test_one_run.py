@@ -9,12 +9,12 @@ import pytest
 import synthetic_records as synthetic
 from matplotlib.figure import Figure
 
-from silem.config import RunConfig
-from silem.demonstrations import Demonstrations
-from silem.envs.simulator import STEP_S
-from silem.errors import SilemError
+from silem.envs.bullet.simulator import STEP_S
+from silem.motion.demonstrations import Demonstrations
 from silem.report import one_run
 from silem.report.features import feature_names
+from silem.study.config import RunConfig
+from silem.util.errors import SilemError
 
 
 def demonstrations(body: str, n_states: int = 40) -> Demonstrations:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from silem import paper, paths
-from silem.errors import SilemError
+from silem import paper
+from silem.util import paths
+from silem.util.errors import SilemError
 
 TEX = paths.REPO.parent / "shared" / "paper" / "silem.tex"
 
 
-# Typed from the supplement's pages, not from data/paper.
+# Typed from the supplement's pages, not from silem/paper.
 @pytest.mark.parametrize(
     ("body", "method", "expected"),
     [

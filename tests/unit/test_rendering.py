@@ -14,9 +14,9 @@ from PIL import Image
 
 import silem
 from silem import bodies
-from silem.errors import SilemError
 from silem.report import rendering, video
 from silem.report.video import Clip
+from silem.util.errors import SilemError
 
 
 def gradient_clip(n_frames: int = 12, height: int = 90, width: int = 120) -> Clip:

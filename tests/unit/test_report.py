@@ -15,8 +15,6 @@ import synthetic_records as synthetic
 from drawn import assert_readable, boxes, footer, lines_at, texts
 
 from silem import paper
-from silem.config import RunConfig
-from silem.errors import SilemError
 from silem.report import (
     claims,
     diagram,
@@ -28,6 +26,8 @@ from silem.report import (
     style,
     tables,
 )
+from silem.study.config import RunConfig
+from silem.util.errors import SilemError
 
 FIGURES = figures.OF_STUDY["halfcheetah"]
 CASES = ("whole", "partial", "single", "bad expert", "empty", "tiny")

@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 
-from silem import paths
-from silem.config import TRIAL_SEEDS, RunConfig
-from silem.errors import SilemError
 from silem.report import results
 from silem.report.validation import validate
+from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.util import paths
+from silem.util.errors import SilemError
 
 
 @pytest.fixture

@@ -14,16 +14,16 @@ from matplotlib.patches import Circle
 from scipy.optimize import minimize
 
 from silem.bodies.humanoid import ARM_FACTORS
-from silem.errors import SilemError
+from silem.motion.clips import published_motion
+from silem.motion.demonstrator import Motion
+from silem.motion.features import POINTS
+from silem.motion.retarget import TOLERANCE_M, IKResult
+from silem.motion.retarget_report import BODIES, learner, published_retargeting
+from silem.motion.targets import SIDES, TARGETS, standing_feet
 from silem.report import rendering, retargeting, retargeting_video, style
 from silem.report.figures import retargeting as figures
 from silem.report.figures.motion import SIDE_COLORS
-from silem.skeleton.clips import published_motion
-from silem.skeleton.demonstrator import Motion
-from silem.skeleton.features import POINTS
-from silem.skeleton.retarget import TOLERANCE_M, IKResult
-from silem.skeleton.retarget_report import BODIES, learner, published_retargeting
-from silem.skeleton.targets import SIDES, TARGETS, standing_feet
+from silem.util.errors import SilemError
 
 every_body = pytest.mark.parametrize("index", range(len(BODIES)), ids=BODIES)
 FIRST_HINGES = {"Atlas": "{0}_arm_shz"}  # of a shoulder; {0} is the side's initial

@@ -14,16 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from silem import bodies, demonstrations, files, paths, seeding
-from silem.config import Budget, RunConfig
-from silem.demonstrations import Demonstrations
-from silem.errors import SilemError
+from silem import bodies
+from silem.motion import demonstrations
+from silem.motion.demonstrations import Demonstrations
 from silem.study import curve, runs, training
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.config import Budget, RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import evaluate, random_policy
 from silem.study.policies import load_policy
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.util import files, paths, seeding
+from silem.util.errors import SilemError
 
 SMALL = {"minibatch_size": 32, "n_epochs": 2}
 

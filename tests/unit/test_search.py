@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from drawn import assert_readable, footer, texts
 
-from silem import files, paths
-from silem.errors import SilemError
 from silem.report import search
+from silem.util import files, paths
+from silem.util.errors import SilemError
 
 QUANTITIES = ("return_mean", "episode_length", "speed_m_s")
 

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from silem import seeding
+from silem.util import seeding
 
 
 def test_a_stream_depends_on_its_root_and_its_names_alone() -> None:

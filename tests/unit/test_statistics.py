@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from silem.errors import SilemError
 from silem.study import statistics
+from silem.util.errors import SilemError
 
 # Four trials of two cells.
 SCORES = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [6.0, 80.0]])

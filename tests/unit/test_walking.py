@@ -11,13 +11,13 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
-from silem.config import RunConfig
-from silem.errors import SilemError
 from silem.report import results, style, tables, walking, walking_video
 from silem.report.claims.rules import MARGIN
 from silem.report.figures.compared import compared_curves
 from silem.report.video import Clip
+from silem.study.config import RunConfig
 from silem.study.studies import cells
+from silem.util.errors import SilemError
 
 SHORT = 250
 

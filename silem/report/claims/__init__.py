@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from silem.errors import choose
 from silem.report.claims import halfcheetah, humanoids
 from silem.report.claims.rules import (
     FAILS,
@@ -14,6 +13,7 @@ from silem.report.claims.rules import (
     Find,
     Finding,
 )
+from silem.util.errors import choose
 
 __all__ = [
     "CLAIMS", "FAILS", "HOLDS", "MARGIN", "MIN_TRIALS", "UNDECIDED", "Claim", "Find", "Finding",

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from silem import paper
-from silem.envs.walking import DEMONSTRATOR_SPEED_M_S
+from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.motion.features import FEATURES
 from silem.report import results
 from silem.report.claims.rules import MARGIN, Claim, Find, Finding, exceeds, mean, name, within
-from silem.skeleton.features import FEATURES
 from silem.study import statistics
 
 _BODIES = ("Atlas", "Humanoid", "HumanoidR")

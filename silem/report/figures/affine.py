@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from silem import paper
-from silem.errors import SilemError, choose
 from silem.report import results, style
 from silem.report.features import Group, feature_groups, feature_names
 from silem.report.figures import sources
+from silem.util.errors import SilemError, choose
 
 _BODY_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _ENTRIES = {"scale": ("A", 1.0), "offset": ("b", 0.0)}

@@ -15,14 +15,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from silem import demonstrations
-from silem.errors import SilemError
+from silem.motion import demonstrations, demonstrator
+from silem.motion.clips import published_name
+from silem.motion.demonstrator import CLIPS, Motion
+from silem.motion.features import FEATURES, POINTS, Landmarks
+from silem.motion.targets import SIDES, standing_feet
 from silem.report import style
-from silem.skeleton import demonstrator
-from silem.skeleton.clips import published_name
-from silem.skeleton.demonstrator import CLIPS, Motion
-from silem.skeleton.features import FEATURES, POINTS, Landmarks
-from silem.skeleton.targets import SIDES, standing_feet
+from silem.util.errors import SilemError
 
 SIDE_COLORS = {"left": "#E07B39", "right": "#0072B2"}
 
@@ -60,7 +59,7 @@ _ROWS: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...] = (
 def features(motion: Motion) -> Figure:
     """Draw every skeletal feature over time with its unit, left and right in one panel.
 
-    While a foot stands (`silem.skeleton.targets.standing_feet`), the panels are shaded in its
+    While a foot stands (`silem.motion.targets.standing_feet`), the panels are shaded in its
     side's colour.
 
     Args:

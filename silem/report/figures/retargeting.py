@@ -11,13 +11,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from silem.errors import SilemError
+from silem.motion.demonstrator import Motion
+from silem.motion.retarget import TOLERANCE_M, IKResult
+from silem.motion.targets import SIDES, TARGETS
 from silem.report import style
 from silem.report.figures.motion import SIDE_COLORS, draw_pose
 from silem.report.retargeting import hand_targets, own_foot_skate
-from silem.skeleton.demonstrator import Motion
-from silem.skeleton.retarget import TOLERANCE_M, IKResult
-from silem.skeleton.targets import SIDES, TARGETS
+from silem.util.errors import SilemError
 
 _MARGIN_M = 0.15
 _SIDE_VIEW = [0, 2]  # x to the right and z up: seen from the right

@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 
 from silem import bodies
 from silem.bodies import MujocoBody
-from silem.envs import walking
-from silem.envs.walking import DEMONSTRATOR_SPEED_M_S, Reading
+from silem.envs.mujoco import task as walking
+from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S, Reading
+from silem.motion.features import POINTS
 from silem.report import style
-from silem.skeleton.features import POINTS
 
 _SUITE_SPEED_M_S = 1.0  # what dm_control's own task asks for
 _N = 201  # points of a curve
@@ -19,7 +19,7 @@ _N = 201  # points of a curve
 def factors() -> Figure:
     """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
 
-    The curves are computed by the environments' own `silem.envs.walking.rewards`.
+    The curves are computed by the environments' own `silem.envs.mujoco.task.rewards`.
     """
     body = bodies.get("Humanoid")
     assert isinstance(body, MujocoBody)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from silem.config import METHODS
-from silem.errors import SilemError, choose
 from silem.report import results, style
+from silem.study.config import METHODS
+from silem.util.errors import SilemError, choose
 
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
 """The groups of Figure 2b, in the paper's order."""

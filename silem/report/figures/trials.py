@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from silem import bodies, paper, seeding
+from silem import bodies, paper
 from silem.report import results, style
 from silem.report.figures import cells, sources
 from silem.study import statistics
+from silem.util import seeding
 
 _HOLLOW = "hollow: one trial, so no range"
 

@@ -1,0 +1,192 @@
+"""What a run is: a frozen configuration with one strict door, `RunConfig.create`.
+
+A configuration holds exactly the hyper-parameters that its method uses, so that the identity of an
+expert's run does not depend on how discriminators are trained.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from silem import bodies
+from silem.bodies import Body, atlas
+from silem.study import defaults
+from silem.study.budgets import BUDGETS, Budget, of_family
+from silem.study.defaults import HUMAN, ORIGINAL_BODIES, retargeted
+from silem.study.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
+from silem.util.errors import SilemError, choose
+
+__all__ = [
+    "BUDGETS",
+    "DEMONSTRATOR_SEED",
+    "HUMAN",
+    "IMITATORS",
+    "METHODS",
+    "ORIGINAL_BODIES",
+    "TRANSFORMS",
+    "TRIAL_SEEDS",
+    "Budget",
+    "HyperParameters",
+    "RunConfig",
+    "retargeted",
+]
+
+TRIAL_SEEDS = (0, 1, 2, 3, 4)
+"""The trials' root seeds, fixed before any run was made."""
+
+DEMONSTRATOR_SEED = TRIAL_SEEDS[0]
+"""The trial of the expert whose policy is recorded as demonstrations."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One run: everything that its result depends on, and nothing else."""
+
+    study: str
+    body: str  # the learner's
+    method: str
+    demonstrations: str  # the expert's body or a clip of motion; "" where the method needs none
+    budget: Budget
+    hyper: HyperParameters
+    seed: int
+
+    @classmethod
+    def create(
+        cls,
+        body: str,
+        method: str,
+        demonstrations: str | None = None,
+        budget: str | Budget = "tiny",
+        seed: int = 0,
+        study: str | None = None,
+        **hyper_overrides: Any,
+    ) -> RunConfig:
+        """Make a checked configuration; the one door to `RunConfig`.
+
+        Args:
+            body: The learner's body.
+            method: One of `METHODS`.
+            demonstrations: The expert's body or a clip of motion. None means the family's
+                original body (humanoids: the human's clip), or the learner's own for
+                ``silem-minus-own``, or the clip retargeted to the learner for ``peng20``.
+            budget: One of `BUDGETS`, or a `Budget` of your own.
+            seed: The root seed of every random stream of the run.
+            study: The folder the run belongs to; None means the body's family.
+            **hyper_overrides: Hyper-parameters that replace the supplement's best combination
+                for this cell.
+
+        Raises:
+            SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
+                method.
+        """
+        choose("body", body, bodies.names())
+        choose("method", method, METHODS)
+        family = bodies.get(body).family
+        defaults.check_method(method, body, family)
+        demonstrations = defaults.demonstrations(body, method, family, demonstrations)
+        if isinstance(budget, str):
+            budget = BUDGETS[choose("budget", budget, BUDGETS)]
+        budget = of_family(budget, family)
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
+            raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
+        study = family if study is None else study
+        if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", study):
+            raise SilemError(f"study must be of a-z, 0-9, - and _, not {study!r}")
+        used = HyperParameters.names_used_by(method)
+        for name in hyper_overrides:
+            choose(f"hyper-parameter of {method}", name, used)
+        values = defaults.hyper_parameters(body, method, family, demonstrations)
+        values = {name: value for name, value in values.items() if name in used}
+        hyper = HyperParameters(**(values | hyper_overrides))
+        defaults.check_ankle(body, hyper.ankle_range_rad)
+        steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
+        if method != "random" and steps % minibatch:
+            raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
+        return cls(study, body, method, demonstrations, budget, hyper, seed)
+
+    @property
+    def transform(self) -> str | None:
+        """The state transformer's kind, or None where the method has none."""
+        return TRANSFORMS.get(self.method)
+
+    @property
+    def learner(self) -> Body:
+        """The learner's body, as this run's hyper-parameters have it."""
+        if self.hyper.ankle_range_rad:
+            return atlas.body(self.hyper.ankle_range_rad)
+        return bodies.get(self.body)
+
+    @property
+    def run_id(self) -> str:
+        """A readable name that ends in a hash of the configuration alone."""
+        content = self.to_dict()
+        del content["budget"]["n_trials"]  # how many others are run changes nothing in this one
+        text = json.dumps(content, sort_keys=True)
+        source = f"_from_{self.demonstrations}" if self.demonstrations else ""
+        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+        return f"{self.method}_{self.body}{source}_{self.budget.name}_s{self.seed}_{digest}"
+
+    @property
+    def command(self) -> str:
+        """The command line that makes this run, or goes on with it."""
+        words = ["python -m silem run", f"--body {self.body}", f"--method {self.method}"]
+        if self.demonstrations:
+            words.append(f"--demonstrations {self.demonstrations}")
+        name, _, iterations = self.budget.name.partition("-")
+        words.append(f"--budget {name}" + (f" --iterations {iterations}" if iterations else ""))
+        words.append(f"--seed {self.seed}")
+        if self.study != bodies.get(self.body).family:
+            words.append(f"--study {self.study}")
+        default = RunConfig.create(self.body, self.method, self.demonstrations or None)
+        for name in HyperParameters.names_used_by(self.method):
+            value = getattr(self.hyper, name)
+            if value != getattr(default.hyper, name):
+                text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
+                words.append(f"--set {name}={text}")
+        return " ".join(words)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the configuration as plain JSON types, with the used hyper-parameters only."""
+        hyper = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in self.hyper.of_method(self.method).items()
+        }
+        return {
+            "study": self.study,
+            "body": self.body,
+            "method": self.method,
+            "demonstrations": self.demonstrations,
+            "budget": dataclasses.asdict(self.budget),
+            "hyper": hyper,
+            "seed": self.seed,
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
+        """Rebuild a configuration from `to_dict`, through the same checks.
+
+        Raises:
+            SilemError: A key is missing or unknown, or a value is not allowed.
+        """
+        keys = [field.name for field in dataclasses.fields(cls)]
+        try:
+            for key in content:
+                choose("configuration key", key, keys)
+            budget = Budget(**content["budget"])
+            return cls.create(
+                content["body"],
+                content["method"],
+                content["demonstrations"] or None,
+                budget,
+                content["seed"],
+                content["study"],
+                **content["hyper"],
+            )
+        except (KeyError, TypeError) as error:
+            raise SilemError(f"no valid run configuration: {error}") from error

@@ -1,0 +1,1 @@
+"""What every room uses: files, paths, seeds and errors."""
