@@ -173,3 +173,20 @@ def publish(
     }
     files.write_json(manifest_path, dict(sorted(manifest.items())))
     return path
+
+
+def retargeted(demonstrations: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    return f"{demonstrations}_on_{body}"
+
+
+def captured_speed_m_s(name: str) -> float | None:
+    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+
+    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+
+    Raises:
+        SilemError: There are no such demonstrations, or no manifest.
+    """
+    about = entry(name)
+    return entry(about.get("retargeted_from", name)).get("speed_m_s")

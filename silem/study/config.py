@@ -18,7 +18,7 @@ from silem import bodies
 from silem.bodies import Body, atlas
 from silem.study import defaults
 from silem.study.budgets import BUDGETS, Budget, of_family
-from silem.study.defaults import HUMAN, ORIGINAL_BODIES, retargeted
+from silem.study.defaults import HUMAN, ORIGINAL_BODIES
 from silem.study.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
 from silem.util.errors import SilemError, choose
 
@@ -34,7 +34,6 @@ __all__ = [
     "Budget",
     "HyperParameters",
     "RunConfig",
-    "retargeted",
 ]
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from silem import bodies, paper
+from silem.motion.demonstrations import retargeted
 from silem.study.hyperparameters import IMITATORS, METHODS
 from silem.util.errors import SilemError, choose
 
@@ -61,11 +62,6 @@ def demonstrations(body: str, method: str, family: str, wanted: str | None) -> s
             raise SilemError(f"peng20 imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
     return wanted or HUMAN
-
-
-def retargeted(demonstrations: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{demonstrations}_on_{body}"
 
 
 def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[str, Any]:

@@ -12,11 +12,10 @@ import pytest
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
 from silem.motion import demonstrations
-from silem.motion.demonstrations import Demonstrations
-from silem.motion.retarget_report import BODIES, learner, published_retargeting
-from silem.motion.soles import Soles
-from silem.motion.starts import demonstration_states
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.motion.demonstrations import Demonstrations, retargeted
+from silem.motion.kinematics import Soles
+from silem.motion.retargeting import BODIES, demonstration_states, learner, published_retargeting
+from silem.study.config import HUMAN, RunConfig
 from silem.study.training import make_env
 from silem.util import paths
 from silem.util.errors import SilemError
@@ -31,13 +30,7 @@ def states(body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
 def lowest_soles(body: MujocoBody, qpos: np.ndarray) -> np.ndarray:
     """How high each state's lowest sole is above the floor, (S,)."""
     model = mujoco.MjModel.from_xml_string(body.model_xml())
-    data = mujoco.MjData(model)
-    soles = Soles(model, [body.skeleton.left_foot, body.skeleton.right_foot])
-    heights = []
-    for data.qpos[:] in qpos:
-        mujoco.mj_kinematics(model, data)
-        heights.append(soles.heights(data).min())
-    return np.array(heights)
+    return Soles(model, body.skeleton).lowest(qpos).min(axis=1)
 
 
 @pytest.mark.parametrize("name", BODIES)
