@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from synthetic_clips import UNIT_M, Files, frame_of, joints, skeleton_text, walk
 
-from silem.motion import clips, demonstrator, kinematics
+from silem.__main__ import main
+from silem.motion import clips, demonstrator, kinematics, retargeting
 from silem.motion import demonstrations as demos
 from silem.motion.clips import read_amc, read_asf
 from silem.motion.features import POINTS, skeletal_features
+from silem.study.config import RunConfig
+from silem.study.runs import load_demonstrations
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -294,9 +297,7 @@ def test_an_own_clip_is_published_with_what_was_said_of_it(man: Files, elsewhere
 
 def test_only_subject_8s_floor_is_levelled(man: Files, elsewhere: Path) -> None:
     def uphill(frame: int, bone: str, index: int) -> float:
-        climb = (
-            demonstrator.FLOOR_SLOPE * walk(frame, bone, 2) if (bone, index) == ("root", 1) else 0
-        )
+        climb = (bone, index) == ("root", 1) and demonstrator.FLOOR_SLOPE * walk(frame, bone, 2)
         return walk(frame, bone, index) + climb
 
     demonstrator.publish_own("uphill", man.asf, man.clip(uphill), 120.0)
@@ -315,6 +316,34 @@ def test_a_name_that_is_taken_or_no_name_is_refused(name: str, man: Files, elsew
 def test_demonstrations_that_are_no_captured_motion_are_not_taken_for_one() -> None:
     with pytest.raises(SilemError, match="'HC0' are no captured motion"):
         demonstrator.published_motion("HC0")
+
+
+@pytest.mark.parametrize("missing", ["--asf", "--amc", "--rate-hz", "--name"])
+def test_mocap_asks_for_all_that_an_own_clip_needs(
+    missing: str, man: Files, elsewhere: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {"--asf": man.asf, "--amc": man.clip(walk), "--rate-hz": 120, "--name": "my_walk"}
+    del given[missing]
+    words = [str(word) for pair in given.items() for word in pair]
+    assert main(["mocap", "--quiet", *words]) != 0
+    assert "mocap needs --asf, --amc, --rate-hz and --name" in capsys.readouterr().err
+    assert not elsewhere.exists()
+
+
+def test_from_own_files_to_demonstrations_of_every_humanoid(man: Files, elsewhere: Path) -> None:
+    clip, name = man.clip(walk), "my_walk"
+    words = ["--asf", man.asf, "--amc", clip, "--rate-hz", "120", "--name", name]
+    assert main(["mocap", "--quiet", *map(str, words)]) == 0
+    for body in retargeting.BODIES:
+        result = retargeting.published_retargeting(body, name)
+        assert result.converged.all() and result.body == body and result.motion == name
+        entry = demos.entry(demos.retargeted(name, body))
+        assert entry["retargeted_from_sha256"] == files.sha256(elsewhere / f"{name}.npz")
+        # the man glides: no foot ever stands, so none can skate
+        assert entry["summary"]["foot_skate_mean_m_s"] == {"left": None, "right": None}
+        config = RunConfig.create(body, "peng20", demos.retargeted(name, body))
+        demonstrations, _ = load_demonstrations(config)
+        assert demonstrations is not None and demonstrations.body == body
 
 
 @needs_raw
