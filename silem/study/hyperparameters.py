@@ -22,16 +22,10 @@ METHODS = (
 imitation learning; ``peng20`` is SILEM-minus from demonstrations retargeted to the learner's body
 by inverse kinematics."""
 
-TRANSFORMS = {
-    "silem": "affine",
-    "silem-minus": "identity",
-    "silem-minus-own": "identity",
-    "silem-mlp": "mlp",
-    "peng20": "identity",
-}
-"""The state transformer of each method that has SILEM's structure."""
+TRANSFORMS = {"silem": "affine", "silem-mlp": "mlp"}
+"""The state transformer of each method that has one."""
 
-IMITATORS = (*TRANSFORMS, "tpil")
+IMITATORS = ("silem", "silem-minus", "silem-minus-own", "silem-mlp", "peng20", "tpil")
 """The methods that learn from demonstrations."""
 
 STARTS = ("standing", "demonstration")
@@ -45,7 +39,7 @@ _PPO = paper.common("halfcheetah")  # the supplement's common settings for the P
 _BEST = paper.best_combination("HC0", "silem", "HC0")
 _POLICY = ("ppo", *IMITATORS)
 _DISCRIMINATOR = IMITATORS
-_TRANSFORM = tuple(method for method, kind in TRANSFORMS.items() if kind != "identity")
+_TRANSFORM = tuple(TRANSFORMS)
 
 
 def _used_by(methods: tuple[str, ...], default: Any, *, optional: bool = False) -> Any:

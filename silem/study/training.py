@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 from tqdm import tqdm
 
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.ppo import PPO
-from silem.algorithms.silem import SILEM
-from silem.algorithms.tpil import TPIL
+from silem.algorithms import PPO, SILEM, TPIL, GAIfO
+from silem.algorithms.gaifo import SurvivalWarning
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.demonstrations import Demonstrations
@@ -84,7 +83,7 @@ def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | 
     hyper = config.hyper
     used = hyper.names_used_by(config.method)
     own = {name: getattr(hyper, name) for name in _IMITATION_ARGUMENTS if name in used}
-    make: type[AdversarialImitation] = TPIL
+    make: type[GAIfO] = TPIL if config.method == "tpil" else GAIfO
     if config.transform is not None:
         make, own["transform"] = SILEM, config.transform
     chosen = demonstrations.first(hyper.n_trajectories)
@@ -244,7 +243,10 @@ def train(
         if remaining:
             # reset_num_timesteps=False: the learning rate decays over the whole budget, and a
             # resumed run goes on where it was.
-            model.learn(remaining, callback=segments, reset_num_timesteps=False)
+            with warnings.catch_warnings():
+                # a run's reward is the paper's; the book tells what it does where episodes end
+                warnings.simplefilter("ignore", SurvivalWarning)
+                model.learn(remaining, callback=segments, reset_num_timesteps=False)
     finally:
         segments.close()
     return segments
