@@ -91,7 +91,7 @@ def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray])
 def export_policy(policy: object, path: Path) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
     try:
-        assert type(policy) is ActorCriticPolicy
+        assert type(policy) is ActorCriticPolicy and not policy.use_sde
         space = policy.action_space
         about = {"activation": policy.activation_fn.__name__}
         if isinstance(space, spaces.Box):
@@ -99,7 +99,7 @@ def export_policy(policy: object, path: Path) -> None:
             about |= {"low": low, "high": high}
         arrays = collect({"policy": policy}, {})
         again = _rebuilt(arrays, about)
-        assert again.action_space.shape == space.shape and not policy.squash_output
+        assert again.action_space.shape == space.shape
         assert again.observation_space.shape == policy.observation_space.shape
         assert isinstance(policy.observation_space, spaces.Box)
     except (AssertionError, LookupError, SilemError) as error:
