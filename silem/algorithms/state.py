@@ -91,7 +91,8 @@ def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray])
 def export_policy(policy: object, path: Path) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
     try:
-        assert type(policy) is ActorCriticPolicy and not policy.use_sde
+        assert type(policy) is ActorCriticPolicy
+        assert policy.share_features_extractor and not policy.use_sde
         space = policy.action_space
         about = {"activation": policy.activation_fn.__name__}
         if isinstance(space, spaces.Box):
