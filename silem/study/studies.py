@@ -8,7 +8,8 @@ from typing import Any
 
 from silem import paper
 from silem.study import runs
-from silem.study.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.settings import BUDGETS, Budget
 from silem.util.errors import SilemError, choose
 
 
