@@ -48,8 +48,9 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         One row per run with `COLUMNS`. ``return_mean`` is the ground-truth return over the
         evaluation episodes; ``normalised`` divides it by ``expert_return``, the mean return of the
         same body's PPO experts (paper, Figure 2), which another study may have trained, and is NaN
-        where there is none or where it is not positive, so that a ratio would mean nothing; ``disc_reward`` is the
-        discriminator's reward of an episode; ``planned_iterations`` are those of the study's plan.
+        where there is none or where it is not positive, so that a ratio would mean nothing;
+        ``disc_reward`` is the discriminator's reward of an episode; ``planned_iterations`` are
+        those of the study's plan.
         ``attrs`` holds ``study``, ``budget``, ``missing`` (a list of dicts with `KEYS`, ``run_id``
         and ``command``) and ``set_aside`` (run ids).
 

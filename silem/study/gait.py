@@ -1,4 +1,4 @@
-"""How a runner moves, measured on its skeletal features: pitch, joints at their limits, failures."""
+"""How a runner moves, measured on its features: pitch, joints at their limits, failures."""
 
 from __future__ import annotations
 
