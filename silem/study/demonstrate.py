@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from silem import bodies
+from silem.bodies import BulletBody
 from silem.motion import demonstrations as demos
-from silem.study import runs
+from silem.study import gait, runs
 from silem.study.config import TRIAL_SEEDS, Budget, RunConfig
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
@@ -65,7 +67,8 @@ def demonstrate(
 ) -> Path:
     """Record state-only demonstrations of a finished run's stochastic policy and publish them.
 
-    Failed episodes stay in.
+    Failed episodes stay in; the manifest says how many, and how a runner moves
+    (`silem.study.gait`).
 
     Args:
         record: The expert's run.
@@ -102,4 +105,5 @@ def demonstrate(
         recorded = record_episodes(
             policy, body, n_trajectories, run_id=record.run_id, progress=progress
         )
-        return demos.publish(name, recorded)
+        runner = isinstance(bodies.get(body), BulletBody)
+        return demos.publish(name, recorded, gait.measure(recorded)._asdict() if runner else None)
