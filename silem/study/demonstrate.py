@@ -107,3 +107,20 @@ def demonstrate(
         )
         runner = isinstance(bodies.get(body), BulletBody)
         return demos.publish(name, recorded, gait.measure(recorded)._asdict() if runner else None)
+
+
+def describe(name: str) -> str:
+    """Say in one line what the manifest knows of demonstrations that an expert made."""
+    about = demos.entry(name)
+    text = (
+        f"{about['n_trajectories']} trajectories of {about['expert_run_id']}, return"
+        f" {about['return_mean']:.0f} ± {about['return_std']:.0f}"
+    )
+    if "pitch_rad" in about:
+        text += (
+            f", worst {about['return_worst']:.0f}, failed and kept: {about['n_failed']};"
+            f" {about['speed_m_s']:.2f} m/s, pitch {about['pitch_rad']:.2f} ±"
+            f" {about['pitch_std_rad']:.2f} rad, a joint at its limit"
+            f" {100 * about['limit_share']:.0f} % of the time"
+        )
+    return text

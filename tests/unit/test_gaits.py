@@ -18,7 +18,7 @@ from silem.report.features import feature_names
 from silem.report.video import Clip
 from silem.study import gait, runs
 from silem.study.config import RunConfig
-from silem.study.demonstrate import demonstrate, experts
+from silem.study.demonstrate import demonstrate, describe, experts
 from silem.study.policies import make_policy_model
 from silem.study.record import POLICY, RunRecord
 from silem.study.studies import study_configs
@@ -125,6 +125,9 @@ def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
     measured = gait.measure(Demonstrations.load("HC0_s0"))
     entry = demos.entry("HC0_s0")
     assert {key: entry[key] for key in measured._fields} == measured._asdict()
+    said = describe("HC0_s0")
+    assert f"1 trajectories of {record.run_id}, return {measured.return_worst:.0f} ± 0" in said
+    assert f"pitch {measured.pitch_rad:.2f} ±" in said
 
 
 def test_strides_are_cut_at_the_peaks_and_resampled() -> None:
