@@ -19,8 +19,9 @@ from matplotlib.ticker import NullFormatter
 from silem import bodies
 from silem.report import results, style, tables
 from silem.report.figures import sources
-from silem.study.config import BUDGETS, HyperParameters, RunConfig
+from silem.study.config import RunConfig
 from silem.study.record import TRANSFORM
+from silem.study.settings import BUDGETS, HyperParameters
 from silem.study.studies import cells, seeds_of
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose

@@ -8,10 +8,11 @@ from silem import bodies
 from silem.bodies import BulletBody
 from silem.motion import demonstrations as demos
 from silem.study import gait, runs
-from silem.study.config import TRIAL_SEEDS, Budget, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.study.settings import Budget
 from silem.util.errors import SilemError
 
 
