@@ -175,11 +175,6 @@ def publish(
     return path
 
 
-def retargeted(demonstrations: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{demonstrations}_on_{body}"
-
-
 def captured_speed_m_s(name: str) -> float | None:
     """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
 
@@ -189,4 +184,5 @@ def captured_speed_m_s(name: str) -> float | None:
         SilemError: There are no such demonstrations, or no manifest.
     """
     about = entry(name)
-    return entry(about.get("retargeted_from", name)).get("speed_m_s")
+    captured = entry(about.get("retargeted_from", name))
+    return captured["speed_m_s"] if "capture_rate_hz" in captured else None

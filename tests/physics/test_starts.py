@@ -13,13 +13,14 @@ from stable_baselines3.common.vec_env import VecEnv
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
 from silem.envs.mujoco import task as walking
-from silem.motion import demonstrations
-from silem.motion.demonstrations import Demonstrations, retargeted
+from silem.motion import demonstrations, retargeted
+from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import CLIPS, published_motion, published_name
 from silem.motion.kinematics import Soles
 from silem.motion.retargeting import BODIES, demonstration_states, learner, published_retargeting
 from silem.study import evaluate, runs, training
-from silem.study.config import BUDGETS, HUMAN, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS, HUMAN
 from silem.study.training import make_env, task_options
 from silem.util import paths
 from silem.util.errors import SilemError
@@ -162,7 +163,7 @@ def own_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     qpos = np.tile(bodies.of_kind("Humanoid", MujocoBody).standing_pose, (3, 1))
     qpos[:, 7] = 0.1, 0.2, 0.3
-    publish("my_walk", {"speed_m_s": 0.8049})
+    publish("my_walk", {"speed_m_s": 0.8049, "capture_rate_hz": 60.0})
     about = {"retargeted_from": "my_walk", "summary": "slower on shorter legs"}
     publish(retargeted("my_walk", "Humanoid"), about, qpos=qpos, qvel=np.zeros((3, 27)))
     return qpos
@@ -210,5 +211,5 @@ def test_a_run_is_trained_and_evaluated_on_the_same_task(
 
 
 def test_a_policys_episodes_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
-    publish("Humanoid")
+    publish("Humanoid", {"speed_m_s": 1.0})
     assert task_options(RunConfig.create("Humanoid", "silem", "Humanoid")) == {}

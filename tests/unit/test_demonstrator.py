@@ -11,7 +11,7 @@ import pytest
 from synthetic_clips import UNIT_M, Files, frame_of, joints, skeleton_text, walk
 
 from silem.__main__ import main
-from silem.motion import clips, demonstrator, kinematics, retargeting
+from silem.motion import clips, demonstrator, kinematics, retargeted, retargeting
 from silem.motion import demonstrations as demos
 from silem.motion.clips import read_amc, read_asf
 from silem.motion.features import POINTS, skeletal_features
@@ -337,11 +337,11 @@ def test_from_own_files_to_demonstrations_of_every_humanoid(man: Files, elsewher
     for body in retargeting.BODIES:
         result = retargeting.published_retargeting(body, name)
         assert result.converged.all() and result.body == body and result.motion == name
-        entry = demos.entry(demos.retargeted(name, body))
+        entry = demos.entry(retargeted(name, body))
         assert entry["retargeted_from_sha256"] == files.sha256(elsewhere / f"{name}.npz")
         # the man glides: no foot ever stands, so none can skate
         assert entry["summary"]["foot_skate_mean_m_s"] == {"left": None, "right": None}
-        config = RunConfig.create(body, "peng20", demos.retargeted(name, body))
+        config = RunConfig.create(body, "peng20", retargeted(name, body))
         demonstrations, _ = load_demonstrations(config)
         assert demonstrations is not None and demonstrations.body == body
 
