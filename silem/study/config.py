@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body, atlas
+from silem.bodies import Body
 from silem.study import defaults
 from silem.study.budgets import BUDGETS, Budget, of_family
 from silem.study.defaults import HUMAN, ORIGINAL_BODIES, retargeted
@@ -115,7 +115,7 @@ class RunConfig:
     def learner(self) -> Body:
         """The learner's body, as this run's hyper-parameters have it."""
         if self.hyper.ankle_range_rad:
-            return atlas.body(self.hyper.ankle_range_rad)
+            return bodies.get(self.body).variant(ankle_range_rad=self.hyper.ankle_range_rad)
         return bodies.get(self.body)
 
     @property

@@ -89,13 +89,13 @@ def hyper_parameters(body: str, method: str, family: str, source: str) -> dict[s
         "transform_learning_rate": HUMANOID_TRANSFORM_RATE,
         "n_transform_updates": paper.grid_values("tab4_h")["N_G"][0],
         "transform_lr_decay": 1.0,  # of Atlas, whose grid has no decay
-        "ankle_range_rad": min(paper.grid_values("tab42_h")["a"]) if body == "Atlas" else 0.0,
+        "ankle_range_rad": bodies.get(body).parameters.get("ankle_range_rad", 0.0),
     }
     best = paper.best_combination(known, "silem" if method == "ppo" else method, source)
     return shared | paper.common(family) | best
 
 
 def check_ankle(body: str, ankle_range_rad: float) -> None:
-    """Refuse an ankle range on a body without, or none on Atlas; raises SilemError."""
-    if (body == "Atlas") != (ankle_range_rad > 0):
+    """Refuse an ankle range on a body without that parameter, or none on one with it."""
+    if ("ankle_range_rad" in bodies.get(body).parameters) != (ankle_range_rad > 0):
         raise SilemError(f"ankle_range_rad {ankle_range_rad:g} on {body}: it is Atlas's alone")
