@@ -12,7 +12,8 @@ import pytest
 from silem import bodies
 from silem.__main__ import main
 from silem.study import runs
-from silem.study.config import BUDGETS, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS
 from silem.util import files, paths
 
 

@@ -105,8 +105,8 @@ class MujocoVecEnv(BatchedEnv):
         fallen = failed | (reading.head_m < self._learner.fall_head_m)
         dones = fallen | (self._length >= self.max_steps)
         ended = dones.nonzero()[0]
-        lasts = [self._summary(reading, index) for index in ended]
-        if len(ended):  # ended states and their successors in one go: what counts are NumPy's calls
+        lasts = [self._summary(reading, index) for index in ended.tolist()]
+        if lasts:  # ended states and their successors in one go: what counts are NumPy's calls
             self._begin(ended)
             reading = reading.joined(self.simulation.read(ended))
         features = reading.features()
