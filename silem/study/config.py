@@ -80,7 +80,7 @@ class RunConfig:
             raise SilemError(f"study must be of a-z, 0-9, - and _, not {study!r}")
         allowed = [*HyperParameters.names_used_by(method), *bodies.get(body).parameters]
         for name in overrides:
-            choose(f"setting of {method} on {body}", name, allowed)
+            choose(f"hyper-parameter of {method}", name, allowed)
         resolved = settings.resolve(body, method, demonstrations)
         values = {name: setting.value for name, setting in resolved.items()}
         values |= overrides
