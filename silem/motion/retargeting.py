@@ -2,10 +2,10 @@
 
 Peng et al. 2020, "Learning Agile Robotic Locomotion Skills by Imitating Animals", match key points
 after scaling them to the learner. Here (page "The method", equation eq-targets) hips and feet go
-through one similarity transform of the demonstrator's world, by the ratio of the leg lengths: keeping
-the forward motion instead would drag every planted foot over the floor at (1 - ratio) times the
-walking speed. The torso follows the middle of the hips by the ratio of the spines, the hands the
-shoulders by that of the arms.
+through one similarity transform of the demonstrator's world, by the ratio of the leg lengths:
+keeping the forward motion instead would drag every planted foot over the floor at (1 - ratio)
+times the walking speed. The torso follows the middle of the hips by the ratio of the spines, the
+hands the shoulders by that of the arms.
 
 Inverse kinematics poses the learner, frame by frame, each starting from the pose before: so the
 motion is continuous. What could not be reached is reported for every frame, not hidden.
@@ -28,8 +28,8 @@ from silem import bodies, paper
 from silem.bodies import atlas
 from silem.bodies.body import MujocoBody
 from silem.motion import demonstrations as demos
-from silem.motion import kinematics, retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion import kinematics
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import Motion, published_motion, published_name
 from silem.motion.features import POINTS, skeletal_features
 from silem.motion.kinematics import SIDES, FloorLimit, Soles
@@ -113,9 +113,10 @@ class Limbs(NamedTuple):
             return [length(*(_at(points, f"{side}_{name}") for name in names)) for side in SIDES]
 
         leg = sum(limbs("hip", "knee", "foot")) / 2
+        left_arm, right_arm = limbs("shoulder", "elbow", "hand")
         spine = length(_mid_hip(points), _at(points, "torso"))
         hips = length(*(_at(points, f"{side}_hip") for side in SIDES))
-        return cls(leg, *limbs("shoulder", "elbow", "hand"), spine, hips)
+        return cls(leg, left_arm, right_arm, spine, hips)
 
 
 class Targets(NamedTuple):

@@ -22,8 +22,7 @@ from silem.bodies import MujocoBody
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrations as demos
-from silem.motion import retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
@@ -39,7 +38,7 @@ _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 _NOT_ITS_OWN = {
     "learning_rate", "clip_range", "gamma", "gae_lambda", "n_epochs", "minibatch_size", "adam_eps",
     "policy_hidden", "log_std_init", "anneal_clip", "clip_actions", "n_trajectories",
-    "ankle_range_rad", "starts",
+    "starts",
 }  # fmt: skip
 
 
