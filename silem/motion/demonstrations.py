@@ -121,11 +121,6 @@ def file_of(name: str) -> Path:
     return paths.demonstrations_dir() / (name if name.endswith(".npz") else f"{name}.npz")
 
 
-def retargeted(name: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{name}_on_{body}"
-
-
 def entry(name: str) -> dict[str, Any]:
     """Return what the manifest says of published demonstrations.
 
@@ -178,3 +173,16 @@ def publish(
     }
     files.write_json(manifest_path, dict(sorted(manifest.items())))
     return path
+
+
+def captured_speed_m_s(name: str) -> float | None:
+    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+
+    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+
+    Raises:
+        SilemError: There are no such demonstrations, or no manifest.
+    """
+    about = entry(name)
+    captured = entry(about.get("retargeted_from", name))
+    return captured["speed_m_s"] if "capture_rate_hz" in captured else None

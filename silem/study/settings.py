@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from silem import bodies, paper
-from silem.motion.demonstrations import file_of, retargeted
+from silem.motion import retargeted
+from silem.motion.demonstrations import file_of
 from silem.util.errors import SilemError, choose
 
 HUMAN = "cmu_08_01"
