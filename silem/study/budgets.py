@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import paper
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, check_name
 
 
 def check_positive_int(name: str, value: Any) -> None:
@@ -29,6 +29,7 @@ class Budget:
     checkpoint_every: int  # iterations; episodes start anew at every checkpoint
 
     def __post_init__(self) -> None:
+        check_name("budget", self.name)
         for field in dataclasses.fields(self):
             if field.name != "name":
                 check_positive_int(f"budget {field.name}", getattr(self, field.name))
@@ -109,3 +110,25 @@ def of_family(budget: Budget, family: str) -> Budget:
     if budget != base:
         counts.pop("n_iterations", None)
     return dataclasses.replace(budget, **counts)
+
+
+def check_counts(budget: Budget, family: str) -> None:
+    """Refuse a budget that bears the name of one of `BUDGETS` without its counts.
+
+    Its runs would pass for evidence. Finished runs are not asked: counts change over time.
+
+    Raises:
+        SilemError: Naming what differs.
+    """
+    base = BUDGETS.get(budget.base_name)
+    if base is None:
+        return
+    own = base if budget.name == base.name else base.with_iterations(budget.n_iterations)
+    expected = dataclasses.asdict(of_family(own, family)) | {"n_trials": budget.n_trials}
+    differs = [name for name in expected if getattr(budget, name) != expected[name]]
+    if differs:
+        raise SilemError(
+            f"budget {budget.name!r} has another {', '.join(differs)} than"
+            f" {own.name!r}; give it a name of its own, which begins with none of"
+            f" {', '.join(BUDGETS)}"
+        )

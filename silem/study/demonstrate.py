@@ -39,7 +39,7 @@ def demonstrate(
         if path.exists() and not force:
             there = demos.Demonstrations.load(body)
             if there.expert_run_id == record.run_id and len(there.features) == n_trajectories:
-                return path
+                return path if demos.is_published(body) else demos.publish(body, there)
             raise SilemError(
                 f"{path} holds {len(there.features)} trajectories of"
                 f" {there.expert_run_id or 'another expert'} already; --force replaces them"

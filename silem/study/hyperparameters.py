@@ -7,12 +7,13 @@ open.
 from __future__ import annotations
 
 import dataclasses
+import sys
 from dataclasses import dataclass
 from typing import Any
 
 from silem import paper
 from silem.study.budgets import check_positive_int
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, choose, clipped
 
 METHODS = (
     "ppo", "random", "silem", "silem-minus", "silem-minus-own", "silem-mlp", "tpil", "peng20",
@@ -143,6 +144,6 @@ def _checked(name: str, default: Any, value: Any) -> Any:
         raise SilemError(f"{name} must be a number, not {value!r}")
     lowest_allowed = value > _LOWER_BOUNDS.get(name, 0) or (value == 0 and name in _MAY_BE_ZERO)
     limit = 1.0 if name in _AT_MOST_ONE else float("inf")
-    if not lowest_allowed or not value <= limit or value == float("inf"):
-        raise SilemError(f"{name} is out of range: {value!r}")
+    if not lowest_allowed or not value <= limit or value > sys.float_info.max:
+        raise SilemError(f"{name} is out of range: {clipped(repr(value), 40)}")
     return float(value)
