@@ -18,12 +18,12 @@ from silem.algorithms.transforms import AffineTransform
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.budgets import check_counts
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
+from silem.study.settings import check_counts
 from silem.study.training import PROGRESS, Segments, make_env, make_model, train
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
@@ -56,8 +56,10 @@ def finished(config: RunConfig) -> RunRecord | None:
         SilemError: It was made with other demonstrations than those there are now.
     """
     record = find(config.run_id)
+    if record is None or not config.demonstrations:
+        return record
     path = demos.file_of(config.demonstrations)
-    if record is None or not config.demonstrations or not path.exists():
+    if not path.exists():
         return record
     now, then = files.sha256(path), str(record.demonstrations_sha256)
     if now != then:
@@ -128,7 +130,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     source = provenance()
     n_episodes = config.budget.n_eval_episodes
     if config.method == "random":
-        policy = random_policy(config.learner, config.seed)
+        policy = random_policy(config.learner, config.seed, config.hyper.action_std)
         result = evaluate(policy, config.learner, n_episodes, progress=progress)
         training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
         spent = {

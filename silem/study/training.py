@@ -22,7 +22,8 @@ from silem.envs.mujoco.simulator import body_of
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN, retargeted
 from silem.util import files, seeding
 
 PROGRESS = "progress.json"
