@@ -10,11 +10,11 @@ from typing import Any
 import pandas as pd
 
 from silem import bodies
-from silem.report.validation import validate
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
+from silem.study.verify import check
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -52,7 +52,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         and ``command``) and ``set_aside`` (run ids).
 
     Raises:
-        SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
+        SilemError: Unknown study or budget, or a record that `silem.study.verify` refuses.
     """
     choose("budget", budget, BUDGETS)
     chosen, others, set_aside = _sorted_out(study, budget)
@@ -106,7 +106,7 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
             name = _budget_name(path)
             if path.parent.name not in seen and name.partition("-")[0] == budget:
                 seen.add(path.parent.name)
-                yield validate(path.parent)
+                yield check(path.parent)
 
 
 def _budget_name(path: Path) -> str:

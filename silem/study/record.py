@@ -73,6 +73,9 @@ class RunRecord:
         if not isinstance(content, dict) or names - set(content) - _LATER or set(content) - names:
             needed = ", ".join(sorted(names - _LATER))
             raise SilemError(f"{path} is no run record (it needs the keys {needed})")
+        for name in ("config", "evaluation", "training", "provenance", "files"):
+            if not isinstance(content[name], dict):
+                raise SilemError(f"{path} is no run record: its {name} is no mapping")
         return cls(**content, folder=path.parent)
 
     def save(self, folder: Path) -> None:
@@ -104,10 +107,10 @@ def provenance() -> dict[str, Any]:
     ``git_dirty`` tells whether the package's own code differs from the commit. Without git both
     are None.
     """
-    status = _git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
+    status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
     environment = paths.REPO / "environment.txt"
     return {
-        "git_commit": _git("rev-parse", "HEAD"),
+        "git_commit": git("rev-parse", "HEAD"),
         "git_dirty": None if status is None else bool(status),
         "environment_sha256": files.sha256(environment) if environment.is_file() else None,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
@@ -146,7 +149,8 @@ def _kernels() -> dict[str, str | None]:
     }
 
 
-def _git(*arguments: str) -> str | None:
+def git(*arguments: str) -> str | None:
+    """Return what git says about this repository; None where there is no git or no repository."""
     command = ["git", "-C", str(paths.REPO), *arguments]
     try:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()

@@ -14,10 +14,10 @@ from silem.envs.mujoco import task as walking
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import figures, results
-from silem.report.validation import validate
 from silem.study.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import HUMAN
+from silem.study.verify import check
 from silem.util import files, paths
 
 DATA = paths.REPO / "data"
@@ -42,7 +42,7 @@ def committed_data(monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_records
 @pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
 def test_record_is_sound_and_whole(path: Path) -> None:
-    record = validate(path.parent)
+    record = check(path.parent)
     config = record.run_config()
     assert config.study == path.parent.parent.name
     assert config.budget.is_evidence
