@@ -14,10 +14,10 @@ from silem.envs.mujoco import task as walking
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import figures, results
+from silem.study import verify
 from silem.study.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.study.record import POLICY, RECORD, RunRecord
 from silem.study.settings import HUMAN
-from silem.study.verify import check
 from silem.util import files, paths
 
 DATA = paths.REPO / "data"
@@ -42,48 +42,29 @@ def committed_data(monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_records
 @pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
 def test_record_is_sound_and_whole(path: Path) -> None:
-    record = check(path.parent)
+    record = verify.check(path.parent)
+    verify.check_source(record)
     config = record.run_config()
     assert config.study == path.parent.parent.name
     assert config.budget.is_evidence
     assert config.seed in TRIAL_SEEDS
-    assert record.status == "finished"
-    assert record.provenance["git_commit"]
-    expected = set() if config.method == "random" else {CURVE, POLICY}
-    expected |= {TRANSFORM} if config.transform == "affine" else set()
-    assert set(record.files) == expected
     present = {file.name: file.stat().st_size for file in path.parent.iterdir()}
-    assert set(present) == expected | {RECORD}
+    assert set(present) == {*record.files, RECORD}
     assert max(present.values()) <= MAX_BYTES
+    if record.files:
+        curve = results.load_curve(record.run_id)
+        assert curve["return_mean"].notna().any()
+        assert curve["disc_reward"].notna().any() == bool(config.demonstrations)
 
 
 @needs_records
-@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
-def test_imitators_learned_from_the_published_demonstrations(path: Path) -> None:
-    record = RunRecord.load(path)
-    expert = record.config["demonstrations"]
-    if expert:
-        assert record.demonstrations_sha256 == MANIFEST_CONTENT[expert]["sha256"]
-        assert (
-            record.config["hyper"]["n_trajectories"] <= MANIFEST_CONTENT[expert]["n_trajectories"]
-        )
-    else:
-        assert record.demonstrations_sha256 is None
-
-
-@needs_records
-@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
-def test_curves_end_where_training_ended(path: Path) -> None:
-    record = RunRecord.load(path)
-    if record.config["method"] == "random":
-        pytest.skip("the random policy is not trained")
-    curve = results.load_curve(record.run_id)
-    assert 1 <= len(curve) <= 200
-    assert curve["iteration"].iloc[-1] == record.config["budget"]["n_iterations"]
-    assert curve["timesteps"].iloc[-1] == record.training["n_steps"]
-    assert curve["timesteps"].is_monotonic_increasing
-    assert curve["return_mean"].notna().any()
-    assert curve["disc_reward"].notna().any() == (record.demonstrations_sha256 is not None)
+@pytest.mark.parametrize("study", STUDIES)
+def test_one_policy_of_each_study_does_what_its_record_says(study: str) -> None:
+    """Exact where the record's processor is this one, else within `verify.TOLERANCE`."""
+    trained = [path.parent for path in RECORDS if path.parent.parent.name == study]
+    chosen = next(folder for folder in trained if (folder / POLICY).exists())
+    verdict = verify.verify(chosen)
+    assert verdict.outcome in (verify.EXACT, verify.WITHIN), verdict
 
 
 @needs_records
