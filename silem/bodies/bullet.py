@@ -12,7 +12,7 @@ from typing import Any
 import pybullet
 
 from silem.bodies.body import BulletBody
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, reason
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
 _FLAGS = (
@@ -54,11 +54,20 @@ def link_names(robot: int, client: int) -> dict[str, int]:
 
 @contextlib.contextmanager
 def _model_file(body: BulletBody) -> Iterator[str]:
-    """Give the body's model as a file, the only form in which PyBullet loads it."""
-    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+    """Give the body's model as a file, the only form in which PyBullet loads it.
+
+    Raises:
+        SilemError: There is no temporary folder, or no room in it.
+    """
+    path = None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(body.model_xml())
+        try:
+            handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+                file.write(body.model_xml())
+        except OSError as error:
+            raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
         yield path
     finally:
-        Path(path).unlink(missing_ok=True)
+        if path is not None:
+            Path(path).unlink(missing_ok=True)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import itertools
 import math
+import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +161,16 @@ def test_edits_that_would_miss_are_refused():
         mjcf.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
     with pytest.raises(SilemError, match="no attribute 'mass'"):
         mjcf.set_attribute(xml, "geom", "torso", "mass", "1")
+
+
+def test_a_full_temporary_folder_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(os, "fdopen", full)
+    with pytest.raises(SilemError, match="no temporary file for HC0: No space left on device"):
+        Simulator(bodies.get("HC0"))
+    assert not list(tmp_path.iterdir())
