@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from silem.envs.mujoco.simulator import body_of
-from silem.motion.demonstrations import retargeted
+from silem.motion import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
 from silem.motion.kinematics import SIDES
