@@ -264,8 +264,11 @@ def test_bad_input_is_refused():
         env.step(np.zeros((2, 20)))
     with pytest.raises(SilemError, match="NaN"):
         env.step(np.full((2, 21), np.nan))
-    with pytest.raises(SilemError, match="must be above 0"):
+    with pytest.raises(SilemError, match="0 threads; allowed: whole numbers from 1"):
         make_vec("Humanoid", n_threads=0)
+    for make in (make_vec, MujocoEnv):
+        with pytest.raises(SilemError, match="speed of 0 m/s; allowed: above 0"):
+            make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
         MujocoVecEnv("HC0")
     with pytest.raises(SilemError, match="arm scaled by -1"):
