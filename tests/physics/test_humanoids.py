@@ -213,6 +213,19 @@ def test_episodes_start_from_given_states():
     assert set(env.simulation.read().qpos[:, 0]) == {5.0, 6.0}
 
 
+def test_a_placed_state_remembers_nothing():
+    simulation, fresh = (Simulation(bodies.get("Humanoid"), 2) for _ in range(2))
+    for row in actions(5, 2):
+        simulation.advance(row)
+    pose = np.array(simulation.body.standing_pose)
+    for each in (simulation, fresh):
+        each.place(1, pose, np.full(27, 0.1))
+    ours, theirs = simulation.data(1), fresh.data(1)
+    for field in ("time", "qpos", "qvel", "ctrl", "qacc_warmstart", "xpos", "subtree_linvel"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
+    assert simulation.data(0).time > 0  # the other one goes on
+
+
 def test_arms_are_scaled_and_nothing_else():
     plain, scaled = (
         mujoco.MjModel.from_xml_string(bodies.get(name).model_xml())
