@@ -146,6 +146,19 @@ class Bounded(gym.Env):
         return self.state.copy(), float(self.state.sum()), fell, self.steps == 9, {}
 
 
+@pytest.mark.parametrize("clip_range_vf", [None, 0.2])  # the second goes stable-baselines3's way
+def test_moments_are_those_of_all_observations_so_far(clip_range_vf: float | None) -> None:
+    model = make_model(GAIfO, clip_range_vf=clip_range_vf)
+    extractor, seen = model.policy.features_extractor, []
+    for iteration in range(3):
+        model.learn(120, reset_num_timesteps=iteration == 0)
+        seen.append(model.rollout_buffer.observations.reshape(-1, 2).copy())
+        states = np.concatenate(seen)
+        np.testing.assert_allclose(extractor.mean, states.mean(axis=0), rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(extractor.var, states.var(axis=0), rtol=1e-2, atol=1e-5)
+    assert (model._fast is None) == (clip_range_vf is not None)
+
+
 def flat(model: SB3PPO, name: str) -> np.ndarray:
     """One array of a rollout buffer, (N, ...); stable-baselines3 flattens some as it updates."""
     array, buffer = getattr(model.rollout_buffer, name), model.rollout_buffer

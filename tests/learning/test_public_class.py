@@ -131,6 +131,25 @@ def test_twin_and_torch_agree_whichever_way_parameters_come_in(way_in, tmp_path)
     assert not np.array_equal(model.predict(obs, deterministic=True)[0], expected)
 
 
+class Replaces(BaseCallback):
+    """Puts other tensors into the policy's parameters between rollout and update."""
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        for p in self.model.policy.parameters():
+            p.data = p.detach().clone()
+        self.before = [p.detach().clone() for p in self.model.policy.parameters()]
+
+
+def test_update_reaches_tensors_that_a_callback_has_put_in_place() -> None:
+    model, callback = new(), Replaces()
+    model.learn(240, callback=callback)
+    after = zip(callback.before, model.policy.parameters(), strict=True)
+    assert all(not th.equal(old, p) for old, p in after)
+
+
 class Noise(gym.Env):
     """Observes samples of a space, whatever is done."""
 
