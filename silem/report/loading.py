@@ -22,10 +22,12 @@ from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
 KEYS = ["body", "method", "demonstrations", "seed"]
+_EVALUATED = ("return_mean", "return_std", "speed_m_s", "upright")
+_TRAINED = ("n_steps", "steps_per_s")
 COLUMNS = [
-    "run_id", *KEYS, "return_mean", "return_std", "normalised", "expert_return", "speed_m_s",
-    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "planned_iterations", "stand_in",
-    "n_steps", "steps_per_s", "wall_time_s", "commit", "dirty", "command", "returns", "folder",
+    *KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
+    "stand_in", *_TRAINED, "wall_time_s", "commit", "dirty", "returns", "folder",
+    "expert_return", "normalised",
 ]  # fmt: skip
 
 
@@ -137,20 +139,15 @@ def _n_iterations(record: RunRecord) -> int:
 
 
 def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
-    evaluation, training, source = record.evaluation, record.training, record.provenance
+    evaluation, source = record.evaluation, record.provenance
     return {
         **_keys(record.run_config()),
-        "return_mean": evaluation["return_mean"],
-        "return_std": evaluation["return_std"],
-        "speed_m_s": evaluation["speed_m_s"],
-        "upright": evaluation["upright"],
+        **{name: evaluation[name] for name in _EVALUATED},
+        **{name: record.training[name] for name in _TRAINED},
         "disc_reward": evaluation["disc_reward_mean"],
-        "n_eval_episodes": evaluation["n_episodes"],
         "n_iterations": _n_iterations(record),
         "planned_iterations": plan.budget.n_iterations,
         "stand_in": record.run_id != plan.run_id,
-        "n_steps": training["n_steps"],
-        "steps_per_s": training["steps_per_s"],
         "wall_time_s": record.wall_time_s,
         "commit": source["git_commit"] or "unknown",
         "dirty": source["git_dirty"],
@@ -160,14 +157,7 @@ def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
 
 
 def _keys(config: RunConfig) -> dict[str, Any]:
-    return {
-        "body": config.body,
-        "method": config.method,
-        "demonstrations": config.demonstrations,
-        "seed": config.seed,
-        "run_id": config.run_id,
-        "command": config.command,
-    }
+    return {name: getattr(config, name) for name in (*KEYS, "run_id", "command")}
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
