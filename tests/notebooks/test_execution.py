@@ -159,7 +159,7 @@ def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     best = paper.best_combination("HC1", "silem", "HC0")
     settings = words(output(page, "config"))
     assert config.run_id in settings
-    assert f"n_trajectories {best['n_trajectories']} {best['n_trajectories']}" in settings
+    assert f"n_trajectories {best['n_trajectories']} supplement" in settings
     assert output(page, "curve").startswith("<svg")
     assert output(page, "transform").startswith("<svg")
     _, frames = video(output(page, "video"), tmp_path)

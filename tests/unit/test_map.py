@@ -12,7 +12,9 @@ import silem
 ROOMS = ["util", "paper", "bodies", "motion", "envs", "algorithms", "study", "report"]
 ROOT = Path(silem.__file__).parent
 MODULES = {
-    ".".join(("silem", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path
+    ".".join(("silem", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    ): path
     for path in sorted(ROOT.rglob("*.py"))
 }
 
