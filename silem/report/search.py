@@ -203,6 +203,7 @@ def draw_travel(table: pd.DataFrame) -> Figure:
     with style.applied():
         figure, panels = style.new_figure(3.3, ncols=2, sharex=True, sharey=True)
         values = table[["allowed", "A", "b"]].to_numpy(dtype=float)
+        values = values[values > 0]
         low = 10 ** np.floor(np.log10(values.min(initial=0.5)))
         high = 10 ** np.ceil(np.log10(values.max(initial=0.5)))
         for axes, entry, title in zip(

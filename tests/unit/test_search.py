@@ -208,4 +208,6 @@ def test_how_many_reached_their_bound_is_told() -> None:
     assert "Of 2 transforms 1 went to their bound" in search.travel_says(table)
     assert "58 % of it" in search.travel_says(table)  # between 97 % and 20 %
     assert "No run" in search.travel_says(table[:0])
+    low, high = search.draw_travel(table.assign(A=[0.29, 0.0])).axes[0].get_ylim()  # one at rest
+    assert 0.001 < low < 0.03 < 0.29 < high
     assert_readable(search.draw_travel(table[:0]))
