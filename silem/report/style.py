@@ -21,6 +21,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from silem.util import files
 from silem.util.errors import choose
@@ -142,6 +143,18 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN, **subplots: Any) ->
     return figure, figure.subplots(**subplots)
 
 
+def handle(color: str, label: str, **look: Any) -> Line2D:
+    """Return an entry of a legend."""
+    return Line2D([], [], color=color, label=label, **look)
+
+
+def picture(axes: Axes, pixels: np.ndarray) -> None:
+    """Show a picture (H, W, 3) in a frame without ticks."""
+    axes.imshow(pixels, interpolation="none")
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set(visible=True, color=FAINT)
+
+
 def empty_slot(axes: Axes, x: float, text: str = "no run", color: str = MUTED) -> None:
     """Mark a cell without a run: a dashed outline of the slot with a word in it."""
     transform = axes.get_xaxis_transform()
@@ -179,11 +192,5 @@ def svg(figure: Figure) -> str:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure atomically as SVG, or as PNG where the name ends so."""
-    if path.suffix == ".png":
-        stream = io.BytesIO()
-        with applied():
-            figure.savefig(stream, format="png", dpi=200, metadata={"Software": None})
-        files.write_bytes(path, stream.getvalue())
-    else:
-        files.write_text(path, svg(figure))
+    """Write a figure atomically as SVG."""
+    files.write_text(path, svg(figure))

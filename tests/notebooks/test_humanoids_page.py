@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import REPO, Execute, glue_roles, output, said
 
-from silem.report.rendering import why_no_pictures
+from silem.report.film import why_no_pictures
 
 NAME = "10_humanoids"
 

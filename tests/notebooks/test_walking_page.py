@@ -12,8 +12,9 @@ from conftest import NOTEBOOKS, Execute, add_untrained_policy, glue_roles, outpu
 from test_execution import words
 from test_structure import prose
 
-from silem.report import claims, results, walking
-from silem.report.rendering import why_no_pictures
+from silem.report import claims, results
+from silem.report.film import why_no_pictures
+from silem.report.pages import walking
 from silem.study.config import RunConfig
 from silem.study.studies import cells
 
