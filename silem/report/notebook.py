@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from IPython.display import HTML, SVG, display
+from IPython.display import HTML, SVG, Markdown, display
 from IPython.display import Image as DisplayedImage
 from matplotlib.figure import Figure
 from myst_nb import glue
@@ -26,7 +26,7 @@ from silem.study.record import POLICY
 
 __all__ = [
     "film", "literal_assignments", "note", "parameters", "play", "play_first_trials", "say", "show",
-    "show_picture", "table",
+    "show_picture", "table", "text",
 ]  # fmt: skip
 
 
@@ -64,13 +64,15 @@ def _cell(value: Any, digits: int | None) -> str:
     return tables.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
 
 
-def play(clip: Clip, caption: str) -> None:
+def play(clip: Clip | None, caption: str) -> None:
     """Embed a clip as a video that needs neither a network nor a file beside the page.
 
     Args:
-        clip: The clip; it plays at the speed of the simulation.
+        clip: The clip; it plays at the speed of the simulation. None says that there is none yet.
         caption: What it shows, as plain text.
     """
+    if clip is None:
+        return note(f"No video ({caption}): no run with a policy has been published yet.")
     height, width = clip.frames.shape[1:3]
     poster = base64.b64encode(encode_png(clip.frames[0])).decode()
     video = base64.b64encode(encode_mp4(clip)).decode()
@@ -132,6 +134,11 @@ def play_first_trials(
         clips = films.of_runs(chosen, duration_s)
         text = f"{body}, first trial, in real time: {' | '.join(clips)}"
         play(films.grid(clips), text)
+
+
+def text(words: str) -> None:
+    """Show sentences that were made from records, in Markdown."""
+    _display(Markdown(words))  # type: ignore[no-untyped-call]
 
 
 def note(text: str) -> None:

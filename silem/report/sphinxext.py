@@ -20,8 +20,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from silem import paper
-from silem.study.budgets import BUDGETS, Budget, of_family
-from silem.study.hyperparameters import METHODS, HyperParameters
+from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, of_family
 from silem.util.errors import SilemError, choose
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

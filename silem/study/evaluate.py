@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from silem import bodies
-from silem.algorithms.features import INFO_KEY, LearnerFeatures
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.windows import episode_windows
+from silem.algorithms.gaifo import GAIfO
+from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
 from silem.motion.demonstrations import Demonstrations
@@ -38,15 +38,18 @@ class Policy(Protocol):
 
 
 class RandomPolicy:
-    """Acts uniformly at random in [-1, 1], the paper's lower mark in Figure 2.
+    """The untrained Gaussian policy N(0, std), the paper's lower mark in Figure 2.
+
+    Its actions are not clipped, so that the task charges them as they are, as PyBullet's does.
 
     Args:
         n_actions: A, the number of actuators.
         seed: The trial's seed.
+        std: Standard deviation of every action.
     """
 
-    def __init__(self, n_actions: int, seed: int) -> None:
-        self._n_actions, self._seed = n_actions, seed
+    def __init__(self, n_actions: int, seed: int, std: float = 1.0) -> None:
+        self._n_actions, self._seed, self._std = n_actions, seed, std
         self.reseed(0)
 
     def reseed(self, seed: int) -> None:
@@ -56,13 +59,13 @@ class RandomPolicy:
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, None]:
         """Return random actions (E, A), whatever the observations (E, O)."""
         size = (len(observation), self._n_actions)
-        return self._generator.uniform(-1.0, 1.0, size).astype(np.float32), None
+        return self._std * self._generator.standard_normal(size, dtype=np.float32), None
 
 
-def random_policy(body: Body | str, seed: int = 0) -> RandomPolicy:
+def random_policy(body: Body | str, seed: int = 0, std: float = 1.0) -> RandomPolicy:
     """Return the random policy of a body, for the trial of a seed."""
     found = bodies.get(body) if isinstance(body, str) else body
-    return RandomPolicy(found.action_size, seed)
+    return RandomPolicy(found.action_size, seed, std)
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ def episodes(
     over-represented.
 
     Args:
-        policy: What acts. If it has ``reseed``, its random numbers restart from `seed`.
+        policy: What acts. Its random numbers restart from `seed`.
         body: The body, or its name.
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
@@ -129,8 +132,8 @@ def episodes(
     name = body if isinstance(body, str) else body.name
     bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
-        if hasattr(policy, "reseed"):
-            policy.reseed(seeding.child_seed(seed, "policy"))
+        reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
+        reseed(seeding.child_seed(seed, "policy"))
         observations = np.asarray(env.reset())
         first = np.asarray(env.reset_infos[0].get(INFO_KEY, observations[0]))
         of_learner = LearnerFeatures(first.size)
@@ -162,7 +165,7 @@ def evaluate(
     body: Body | str,
     n_episodes: int,
     seed: int = EVALUATION_SEED,
-    model: AdversarialImitation | None = None,
+    model: GAIfO | None = None,
     *,
     progress: bool = False,
 ) -> Evaluation:

@@ -32,7 +32,8 @@ from silem.motion.targets import (
 )
 from silem.report import film, stick_figure, style
 from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN, retargeted
 from silem.util.errors import SilemError
 
 _N_POSES = 5
