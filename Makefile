@@ -36,7 +36,7 @@ pages: $(STAMP) ## rebuild the book from the notebooks executed last time (for p
 	$(BIN)/python -m silem.report.build --workers $(WORKERS) --reuse-executed
 
 test: $(STAMP) ## run the tests, notebooks and built book included
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --nbmake --nbmake-timeout=300 tests notebooks
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup tests
 
 check: $(STAMP) ## style, types, spelling, and notebooks without outputs
 	$(BIN)/ruff check .

@@ -43,6 +43,7 @@ BOOK_PARAMETERS: Parameters = {
     "02_experts": {"budget": "quick", "video_s": 6.0},
     "04_imitate": {"body": "HC0", "budget": "quick", "video_s": 6.0},
     "05_halfcheetah": {"video_s": 7.0},
+    "09_demonstration": {"video_s": 60.0},  # all of it
     "10_humanoids": {"n_episodes": 100, "video_s": 2.0},
     "11_retargeting": {"film_all": True, "video_s": 2.3},
     "12_walking": {"budget": "book", "video_s": 6.0},

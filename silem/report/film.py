@@ -145,19 +145,30 @@ def of_runs(runs: Mapping[str, RunRecord], duration_s: float, size: Size = SIZE)
     return clips
 
 
-def motion(body: Body | str, qpos: np.ndarray, rate_hz: float, size: Size = SIZE) -> Clip:
+def motion(
+    body: Body | str,
+    qpos: np.ndarray,
+    rate_hz: float,
+    duration_s: float = math.inf,
+    size: Size = SIZE,
+) -> Clip:
     """Film a humanoid posed along a given motion, in real time; no physics acts.
 
     Args:
         body: A humanoid, or its name.
         qpos: Positions of all joints, (T, nq).
         rate_hz: States per second, of which every other is shown.
+        duration_s: How much of it to film, from its beginning; all of it if it is shorter.
         size: Width and height of the pictures, pixels.
 
     Raises:
-        SilemError: It is no humanoid, or nothing can be drawn offscreen here.
+        SilemError: It is no humanoid, the duration is not positive, or nothing can be drawn
+            offscreen here.
     """
-    pictures = _pictures(body_of(body), qpos[::_STEPS_PER_FRAME], size)
+    if not duration_s > 0:
+        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
+    pictures = _pictures(body_of(body), shown, size)
     return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
 
 

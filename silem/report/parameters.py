@@ -27,7 +27,7 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
         p = parameters(globals(), body=bodies.names(), budget=list(BUDGETS), seed=int)
 
-    Inside Jupyter, papermill and nbmake, the names checked are those assigned by the last cells
+    Inside Jupyter and papermill, the names checked are those assigned by the last cells
     that held nothing but assignments of literals: the ``parameters`` cell and the one papermill
     injects after it. Variables of other cells are therefore no parameters, and the cell can be run
     again at any time. A mapping that no notebook stands behind is checked whole.

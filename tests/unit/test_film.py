@@ -237,10 +237,12 @@ def test_humanoids_are_pictured_standing() -> None:
 def test_every_other_state_of_a_motion_is_filmed() -> None:
     pose = np.array(bodies.get("Humanoid").standing_pose)
     lifted = pose + np.eye(len(pose))[2] * 0.3
-    clip = film.motion("Humanoid", np.stack([pose, pose, lifted, lifted, pose]), 40.0, SMALL)
+    clip = film.motion("Humanoid", np.stack([pose, pose, lifted, lifted, pose]), 40.0, size=SMALL)
     assert clip.frames.shape == (3, 120, 160, 3) and clip.frames_per_s == 20.0
     assert np.array_equal(clip.frames[0], clip.frames[2])
     assert (clip.frames[0] != clip.frames[1]).any()
+    short = film.motion("Humanoid", np.stack([pose] * 5), 40.0, 0.06, SMALL)
+    assert len(short.frames) == 2  # at 0 and 0.05 s
 
 
 @needs_pictures

@@ -125,6 +125,6 @@ def test_the_film_shows_the_landmarks_of_the_published_motion(motion: Motion) ->
 def test_the_film_has_the_speed_of_the_walk(motion: Motion) -> None:
     if why := film.why_no_pictures("Humanoid"):
         pytest.skip(why)
-    clip = film.motion(film.man(), motion.qpos[:5], motion.rate_hz, (160, 120))
+    clip = film.motion(film.man(), motion.qpos[:5], motion.rate_hz, size=(160, 120))
     assert clip.duration_s == pytest.approx(3 / 20)
     assert np.abs(np.diff(clip.frames.astype(int), axis=0)).max(axis=(1, 2, 3)).min() > 1

@@ -216,5 +216,7 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
             for _ in range(round(duration_s / body.control_step_s)):
                 simulation.advance(rng.uniform(-torque, torque, (1, body.action_size)))
                 states.append(simulation.read().qpos[0])
-        clips[body.name] = film.motion(body, np.stack(states), 1 / body.control_step_s, film.PANEL)
+        clips[body.name] = film.motion(
+            body, np.stack(states), 1 / body.control_step_s, size=film.PANEL
+        )
     return film.grid(clips)

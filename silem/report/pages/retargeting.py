@@ -34,7 +34,6 @@ from silem.report import film, stick_figure, style
 from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
 from silem.study.config import RunConfig
 from silem.study.settings import HUMAN, retargeted
-from silem.util.errors import SilemError
 
 _N_POSES = 5
 _TOP_JOINTS = 8
@@ -63,14 +62,11 @@ def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> fil
     Raises:
         SilemError: The duration is not positive, or nothing can be drawn offscreen here.
     """
-    if not duration_s > 0:
-        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
-    shown = slice(int(duration_s * human.rate_hz) + 1)
     walks = {"the man": (film.man(), human.qpos)}
     walks |= {result.body: (learner(result.body), result.qpos) for result in results}
     return film.grid(
         {
-            name: film.motion(body, qpos[shown], human.rate_hz, film.PANEL)
+            name: film.motion(body, qpos, human.rate_hz, duration_s, film.PANEL)
             for name, (body, qpos) in walks.items()
         },
         n_columns=len(walks),
