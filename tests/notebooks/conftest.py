@@ -26,8 +26,8 @@ from silem.motion import demonstrations, fetch
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
-from silem.study.policies import make_policy_model
 from silem.study.record import POLICY, RunRecord
+from silem.study.training import make_policy_model
 from silem.util import files
 from silem.util.errors import SilemError
 
