@@ -13,12 +13,15 @@ from typing import Any
 import nbformat
 import numpy as np
 import pytest
+from IPython.core import displayhook
 from IPython.core.interactiveshell import InteractiveShell
+from IPython.display import display
 from IPython.utils.capture import capture_output
 from nbformat import v4
 from papermill.execute import execute_notebook
 from papermill.iorw import load_notebook_node
 from papermill.parameterize import parameterize_notebook
+from traitlets import Type
 from traitlets.config import Config
 
 from silem.envs import make_vec
@@ -84,6 +87,18 @@ def random_demonstrations(body: str, n_trajectories: int = 20, n_steps: int = 60
     return Demonstrations(tuple(features), (0.0,) * n_trajectories, body, "a random policy")
 
 
+class DisplayHook(displayhook.DisplayHook):
+    """Shows a cell's last value like anything that it displays."""
+
+    def __call__(self, result: object = None) -> None:
+        if result is not None:
+            display(result)
+
+
+class Shell(InteractiveShell):
+    displayhook_class = Type(DisplayHook)
+
+
 @pytest.fixture
 def execute(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Execute:
     """Run a notebook by name, with parameters, in the made-up data folder.
@@ -96,8 +111,8 @@ def execute(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
     def run(name: str, **parameters: Any) -> nbformat.NotebookNode:
         notebook = parameterize_notebook(load_notebook_node(str(path_of(name))), parameters)
-        InteractiveShell.clear_instance()
-        shell = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
+        Shell.clear_instance()
+        shell = Shell.instance(config=Config(HistoryManager={"enabled": False}))
         try:
             for cell in notebook.cells:
                 if cell.cell_type == "code":
@@ -110,7 +125,7 @@ def execute(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
                     if captured.stdout:
                         cell.outputs.append(v4.new_output("stream", text=captured.stdout))
         finally:
-            InteractiveShell.clear_instance()
+            Shell.clear_instance()
         return notebook
 
     return run

@@ -5,6 +5,7 @@ Everywhere `human` is the demonstrator's motion, and `results` is the same motio
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -195,7 +196,9 @@ def _hand(human: Motion, result: IKResult, side: str) -> dict[str, str | float]:
     beyond = distance > TOLERANCE_M
     forward, left, _ = np.einsum("tij,tj->it", human.torso_axes, hand - wanted)
     ahead = np.einsum("tj,tj->t", human.torso_axes[:, 0], wanted - shoulder)
-    stopped = result.at_limit[:, _arm_joints(result, side)].any(axis=1)
+    arm = re.compile(rf"{side}_(shoulder|elbow)|{side[0]}_arm_")
+    arm_joints = [bool(arm.match(name)) for name in result.joint_names]
+    stopped = result.at_limit[:, arm_joints].any(axis=1)
 
     def mean(values: Any) -> float:
         return float(values[beyond].mean()) if beyond.any() else float("nan")
@@ -262,15 +265,3 @@ def hand_targets(human: Motion, result: IKResult) -> np.ndarray:
 def _own_skate(human: Motion) -> np.ndarray:
     """Return the speed of the demonstrator's own standing ankles in m/s, (T, 2); NaN in swing."""
     return np.where(standing_feet(human), foot_speeds_m_s(human.points, human.rate_hz), np.nan)
-
-
-def _arm_joints(result: IKResult, side: str) -> np.ndarray:
-    """Return which of the joints lie between the torso and the hand of a side, (J,)."""
-    body = learner(result.body)
-    model = mujoco.MjModel.from_xml_string(body.model_xml())
-    torso = model.body(body.skeleton.torso).id
-    link, arm = model.body(getattr(body.skeleton, f"{side}_hand")).id, []
-    while link != torso:
-        arm.append(link)
-        link = model.body_parentid[link]
-    return np.isin([model.joint(name).bodyid[0] for name in result.joint_names], arm)

@@ -1,4 +1,7 @@
-"""The page about walking: Figure 3b, the humanoids' runs read as gaits, and their films."""
+"""The page about walking: Figure 3b, the humanoids' runs read as gaits, and their films.
+
+Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +48,6 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     the body falls, and how fast it moves. Dashed levels are PPO on the true reward. A single trial
     is hollow, a cell without runs is an empty slot, and a run of another number of iterations than
     planned is a cross, with that number under its cell; crosses enter no mean.
-
-    Args:
-        frame: Runs of the study of the humanoids at one budget.
 
     Raises:
         SilemError: The runs are not of humanoids.
@@ -119,9 +119,6 @@ def gait(survived: float, speed_m_s: float) -> str:
 def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     """Return one row for each method and number of iterations on a body: means over trials.
 
-    Args:
-        frame: Runs of one study at one budget, from `results.load_records`.
-
     Returns:
         ``body``, ``method``, ``n_iterations``, ``stand_in``, ``trials``, ``survived`` (share of an
         episode's steps), ``survived_s``, ``speed_m_s``, ``speed_share`` (of the demonstrator's),
@@ -186,11 +183,7 @@ _MILESTONES = {
 
 
 def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
-    """Return what the page says about a study: numbers and texts by name.
-
-    Args:
-        frame: Runs of one study at one budget.
-    """
+    """Return what the page says about a study: numbers and texts by name."""
     found = gaits(frame)
     counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
     rising = [rise > 0 for rise in _rises(frame)]
@@ -239,13 +232,7 @@ def early_sentences(frame: pd.DataFrame, method: str, body: str) -> dict[str, fl
 
 
 def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return, as text, how a cell's longest run came along: means up to parts of its iterations.
-
-    Args:
-        frame: Runs of one study at one budget.
-        method: The method.
-        body: The body.
-    """
+    """Return, as text, how a cell's longest run came along: means up to parts of its iterations."""
     run_id = longest_run(frame, method, body)
     if not run_id:
         return pd.DataFrame([{"iterations": "no run"}])
@@ -299,11 +286,6 @@ def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
 
     Each starts from the same seed, stands still on its last picture once the body has fallen, and
     says when that was. What cannot be filmed is named instead.
-
-    Args:
-        frame: Runs of one study at one budget.
-        body: The body.
-        duration_s: Simulated time to film, seconds.
     """
     if why := film.why_no_pictures(body):
         notebook.note(f"No videos of {body}: {why}")
@@ -325,12 +307,7 @@ def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
 
 
 def show_strip(run_id: str, duration_s: float) -> None:
-    """Show equally spaced pictures of a humanoid's policy side by side: a film on paper.
-
-    Args:
-        run_id: A finished run; "" shows nothing but says so.
-        duration_s: Simulated time from the first picture to the last, seconds.
-    """
+    """Show a run's policy in equally spaced pictures, a film on paper; of no run, "", say so."""
     if not run_id or POLICY not in (run := results.find(run_id)).files:
         notebook.note("No pictures: there is no policy.")
     elif why := film.why_no_pictures(run.config["body"]):
