@@ -121,6 +121,11 @@ def file_of(name: str) -> Path:
     return paths.demonstrations_dir() / (name if name.endswith(".npz") else f"{name}.npz")
 
 
+def retargeted(name: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    return f"{name}_on_{body}"
+
+
 def entry(name: str) -> dict[str, Any]:
     """Return what the manifest says of published demonstrations.
 

@@ -28,10 +28,9 @@ from tqdm import tqdm
 import silem
 from silem import bodies
 from silem.bodies import Body, BulletBody, MujocoBody
-from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
 from silem.envs import MujocoCamera
 from silem.envs.bullet.camera import Camera
-from silem.envs.bullet.simulator import STEP_S, Simulator
+from silem.envs.bullet.simulator import Simulator
 from silem.envs.mujoco.simulator import Simulation, body_of
 from silem.motion import demonstrator
 from silem.study.evaluate import Policy, random_policy
@@ -103,8 +102,7 @@ def rollout(
     found = bodies.get(body) if isinstance(body, str) else body
     if not (duration_s > 0 and math.isfinite(duration_s)):
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
-    control_step_s = found.control_step_s if isinstance(found, MujocoBody) else STEP_S
-    frame_s = _STEPS_PER_FRAME * control_step_s
+    frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or random_policy(found)
     if hasattr(policy, "reseed"):
@@ -177,18 +175,14 @@ def man() -> MujocoBody:
     """Return the demonstrator, on dm_control's ``humanoid_CMU``, as a body for `motion`."""
     text, assets = humanoid_CMU.get_model_and_assets()
     model = mujoco.MjSpec.from_string(text, include=assets)
-    return MujocoBody(
+    return replace(
+        bodies.of_kind("Humanoid", MujocoBody),
         name=demonstrator.BODY,
-        family="humanoid",
         description="dm_control's humanoid with the proportions of CMU's subject 8",
         build=model.to_xml,
         motors=(),
-        length=("", 0.0),
-        varied=(),
         skeleton=demonstrator.SKELETON,
         standing_pose=tuple(model.compile().qpos0.tolist()),
-        standing_head_m=STANDING_HEAD_M,
-        fall_head_m=FALL_HEAD_M,
     )
 
 
@@ -228,10 +222,8 @@ def why_no_pictures(body: str) -> str:
 
 def _pictures(body: MujocoBody, poses: np.ndarray, size: Size) -> np.ndarray:
     """Picture a humanoid in each of some poses (T, nq): (T, H, W, 3)."""
-    with (
-        closing(Simulation(body, 1)) as simulation,
-        closing(MujocoCamera(simulation, *size)) as camera,
-    ):
+    simulation = Simulation(body, 1)
+    with closing(MujocoCamera(simulation, *size)) as camera:
         at_rest, pictures = np.zeros(simulation.model.nv), []
         for pose in poses:
             simulation.place(0, pose, at_rest)

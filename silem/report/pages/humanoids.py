@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,10 @@ from pandas.io.formats.style import Styler
 
 from silem import bodies, paper
 from silem.bodies import MujocoBody
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs.mujoco import task as walking
 from silem.envs.mujoco.simulator import Simulation, body_of, start_state
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S, Reading
+from silem.envs.mujoco.task import Reading
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
 from silem.report import film, stick_figure, style
@@ -210,12 +210,12 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
     clips = {}
     for body in map(body_of, names):
         rng = np.random.default_rng(seeding.child_seed(seed, "fall", body.name))
-        with closing(Simulation(body, 1)) as simulation:
-            simulation.place(0, *start_state(rng, body))
-            states = [simulation.read().qpos[0]]
-            for _ in range(round(duration_s / body.control_step_s)):
-                simulation.advance(rng.uniform(-torque, torque, (1, body.action_size)))
-                states.append(simulation.read().qpos[0])
+        simulation = Simulation(body, 1)
+        simulation.place(0, *start_state(rng, body))
+        states = [simulation.read().qpos[0]]
+        for _ in range(round(duration_s / body.control_step_s)):
+            simulation.advance(rng.uniform(-torque, torque, (1, body.action_size)))
+            states.append(simulation.read().qpos[0])
         clips[body.name] = film.motion(
             body, np.stack(states), 1 / body.control_step_s, size=film.PANEL
         )

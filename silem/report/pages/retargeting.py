@@ -17,6 +17,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from silem.envs.mujoco.simulator import body_of
+from silem.motion.demonstrations import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
 from silem.motion.inverse_kinematics import PoseSolver
@@ -34,7 +35,7 @@ from silem.motion.targets import (
 from silem.report import film, stick_figure, style
 from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, retargeted
+from silem.study.settings import HUMAN
 
 _N_POSES = 5
 _TOP_JOINTS = 8

@@ -18,8 +18,8 @@ from matplotlib.ticker import FuncFormatter
 
 from silem import bodies, paper
 from silem.bodies import MujocoBody
-from silem.envs.base import MAX_STEPS
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.bodies.body import MAX_STEPS
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import film, notebook, results, style, tables
 from silem.report.claims import MARGIN
 from silem.report.figures import cells, sources
