@@ -15,7 +15,7 @@ from silem.bodies.body import MAX_STEPS
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.targets import Limbs
-from silem.report import limbs
+from silem.report.pages import humanoids
 from silem.study.evaluate import Policy, evaluate, random_policy
 
 _ALIKE = {  # joints of Humanoid and of Atlas that do the same
@@ -32,7 +32,7 @@ _ALIKE = {  # joints of Humanoid and of Atlas that do the same
     "shoulder, second": ("right_shoulder2", "r_arm_shx"),
     "elbow, bending": ("right_elbow", "r_arm_elx"),
 }
-_PRINTED = (limbs.DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's distances, in its order
+_PRINTED = (humanoids.DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's distances, in its order
 _GRAVITY_M_S2 = 9.81
 _TRUNK = ("pelvis", "ltorso", "mtorso", "utorso")  # of Atlas, from below
 
@@ -134,7 +134,7 @@ def gaps() -> dict[str, float]:
     Returns:
         ``paper_feet_Humanoid``, ``our_hand_Atlas`` and so on, by the paper's numbers and by ours.
     """
-    found = limbs.measured()
+    found = humanoids.limb_distances()
     differences = {}
     for part, limb in (("feet", "foot"), ("hand", "hand")):
         ours = [

@@ -1,6 +1,6 @@
-"""The notebooks through papermill, with parameters, on a made-up study: what the pages show.
+"""The notebooks with parameters, on a made-up study: what the pages show.
 
-`pytest --nbmake notebooks` runs them with their defaults on the repository's own records; here the
+The book of `tests/book` runs them with their defaults on the repository's own records; here the
 parameters differ, the data folder is another one, and the outputs are looked at.
 """
 
@@ -14,10 +14,10 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pandas as pd
-import papermill
 import pytest
 import synthetic_records as synthetic
-from conftest import MISSING, Execute, glue_roles, output, said
+from conftest import MISSING, Execute, glue_roles, output, said, words
+from papermill import PapermillExecutionError
 
 from silem import bodies, paper
 from silem.bodies import describe
@@ -58,11 +58,6 @@ def video(html: str, folder: Path) -> tuple[dict, int]:
     reader.close()
     assert (meta["codec"], meta["pix_fmt"][:7]) == ("h264", "yuv420p")
     return meta, frames
-
-
-def words(text: str) -> str:
-    """What is read: the text without its markup."""
-    return " ".join(re.sub(r"<style.*?</style>|<[^>]*>", " ", text, flags=re.DOTALL).split())
 
 
 def in_words(value: float) -> str:
@@ -252,9 +247,9 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
         assert said(page)["n_undecided"] == str(len(claims.of("halfcheetah")))
 
 
-def test_papermill_stops_at_an_unknown_parameter(execute: Execute) -> None:
-    with pytest.raises(papermill.PapermillExecutionError) as caught:
-        execute("07_scorecard", budgt="book", budget=3)
+def test_papermill_stops_at_an_unknown_parameter(papermill: Execute) -> None:
+    with pytest.raises(PapermillExecutionError) as caught:
+        papermill("07_scorecard", budgt="book", budget=3)
     assert caught.value.ename == "SilemError"
     assert "unknown parameter 'budgt'" in caught.value.evalue
     assert "budget = 3 is not one of tiny, quick, book, paper" in caught.value.evalue

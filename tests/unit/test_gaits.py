@@ -13,9 +13,9 @@ from drawn import assert_readable, texts
 from silem.envs import make_vec
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.report import gaits, results
+from silem.report import results
 from silem.report.features import feature_names
-from silem.report.video import Clip
+from silem.report.pages import gaits
 from silem.study import gait, runs
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, describe, experts
@@ -136,16 +136,6 @@ def test_strides_are_cut_at_the_peaks_and_resampled() -> None:
     expected = 0.2 + 0.1 * np.cos(2 * np.pi * np.linspace(0, 1, 50))
     assert np.abs(cut - expected).max() < 0.01
     assert len(gaits.strides(np.zeros(300))) == 0  # stands
-
-
-def test_a_grid_of_clips_runs_on_one_clock() -> None:
-    clips = [Clip(np.full((4, 60, 80, 3), shade, np.uint8), 30.0) for shade in (90, 120, 150, 180)]
-    grid = gaits.film(clips, list("abcd"), n_columns=3)
-    assert grid.frames.shape == (4, 2 * 68, 3 * 80 + 2 * 8, 3)
-    assert grid.frames_per_s == 30
-    assert (grid.frames[:, 40, 40] == 90).all()
-    assert (grid.frames[:, 68 + 40, 40] == 180).all()
-    assert (grid.frames[:, 68 + 40, 88 + 40] == 255).all()  # nobody stands there
 
 
 def test_experts_are_filmed_side_by_side(data: Path) -> None:

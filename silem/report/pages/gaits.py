@@ -16,9 +16,8 @@ from scipy import signal, stats
 
 from silem import bodies
 from silem.motion.demonstrations import Demonstrations, entry, file_of
-from silem.report import rendering, results, style, tables
+from silem.report import film, results, style, tables
 from silem.report.figures import sources
-from silem.report.video import Clip, side_by_side
 from silem.study import gait, runs
 from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
 from silem.study.evaluate import record_episodes
@@ -114,35 +113,14 @@ def table(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Styler
     return tables.styled(pd.DataFrame(rows).fillna(tables.DASH))
 
 
-def film(clips: Sequence[Clip], labels: Sequence[str], n_columns: int = 3) -> Clip:
-    """Lay clips of the same size out in a grid, each under its label, all on one clock."""
-    rows = [
-        side_by_side(clips[i : i + n_columns], labels[i : i + n_columns]).frames
-        for i in range(0, len(clips), n_columns)
-    ]
-    n_frames = min(len(row) for row in rows)
-    width = max(row.shape[2] for row in rows)
-    padded = [
-        np.pad(
-            row[:n_frames], [(0, 0), (0, 8), (0, width - row.shape[2]), (0, 0)],
-            constant_values=255,
-        )
-        for row in rows
-    ]  # fmt: skip
-    return Clip(np.concatenate(padded, axis=1), clips[0].frames_per_s)
-
-
-def film_experts(shown: dict[str, ExpertGait | None], duration_s: float) -> Clip | None:
+def film_experts(shown: dict[str, ExpertGait | None], duration_s: float) -> film.Clip | None:
     """Film all experts that are there, side by side from one start; None without any."""
-    there = {name: found for name, found in shown.items() if found is not None}
-    labels = [f"trial {_trial(name)}, {e.gait.speed_m_s:.2f} m/s" for name, e in there.items()]
-    clips = [_filmed(found.record, duration_s) for found in there.values()]
-    return film(clips, labels) if clips else None
-
-
-def _filmed(record: RunRecord, duration_s: float) -> Clip:
-    learner, policy = record.run_config().learner, load_policy(record)
-    return rendering.rollout(learner, policy, duration_s=duration_s, progress=False, size=_PICTURE)
+    found = {
+        f"trial {_trial(name)}, {expert.gait.speed_m_s:.2f} m/s": expert.record
+        for name, expert in shown.items()
+        if expert is not None
+    }
+    return film.grid(film.of_runs(found, duration_s, _PICTURE)) if found else None
 
 
 def strides(pitch: np.ndarray) -> np.ndarray:
@@ -337,11 +315,10 @@ def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     return named
 
 
-def film_extremes(frame: pd.DataFrame, duration_s: float) -> Clip | None:
+def film_extremes(frame: pd.DataFrame, duration_s: float) -> film.Clip | None:
     """Film the best and the worst run side by side; None where none can be filmed."""
     found = extremes(frame)
-    clips = [_filmed(record, duration_s) for record in found.values()]
-    return film(clips, list(found), n_columns=2) if clips else None
+    return film.grid(film.of_runs(found, duration_s, _PICTURE)) if found else None
 
 
 def _score_column(frame: pd.DataFrame) -> str:

@@ -12,7 +12,8 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer
 
-from silem.report import results, search
+from silem.report import results
+from silem.report.pages import open_settings as search
 from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.studies import cells, study_configs
