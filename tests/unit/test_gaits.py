@@ -142,7 +142,7 @@ def test_experts_are_filmed_side_by_side(data: Path) -> None:
     shown = gaits.load("HC0", "book", 1) | {"HC0_s4": None}
     clip = gaits.film_experts(shown, 0.1)
     assert clip is not None
-    assert clip.frames.shape[1:3] == (2 * 248, 3 * 320 + 16)
+    assert clip.frames.shape[1:3] == (2 * 240 + 8, 3 * 320 + 2 * 8)
     assert gaits.film_experts({"HC0_s0": None}, 0.1) is None
 
 
