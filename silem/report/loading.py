@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -18,8 +17,8 @@ from silem.study.demonstrate import experts
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
-from silem.util import files, paths
-from silem.util.errors import SilemError, choose
+from silem.util import paths
+from silem.util.errors import choose
 
 KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ("return_mean", "return_std", "speed_m_s", "upright")
@@ -95,21 +94,13 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
     folders = [paths.results_dir(study)]
     if not BUDGETS[budget].is_evidence:
         folders.append(paths.runs_dir() / study)
-    seen = set()
-    for folder in folders:
-        for path in sorted(folder.glob(f"*/{RECORD}")):
-            name = _budget_name(path)
-            if path.parent.name not in seen and name.partition("-")[0] == budget:
-                seen.add(path.parent.name)
-                yield validate(path.parent)
-
-
-def _budget_name(path: Path) -> str:
-    content = files.read_json(path)
-    try:
-        return str(content["config"]["budget"]["name"])
-    except (KeyError, TypeError) as error:
-        raise SilemError(f"{path} is no run record: it names no budget") from error
+    seen = set[str]()
+    for path in (path for folder in folders for path in sorted(folder.glob(f"*/{RECORD}"))):
+        if path.parent.name not in seen:
+            seen.add(path.parent.name)
+            record = validate(path.parent)
+            if record.run_config().budget.base_name == budget:
+                yield record
 
 
 def _is_copy(config: RunConfig) -> bool:

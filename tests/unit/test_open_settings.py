@@ -181,6 +181,22 @@ def test_without_any_run_the_plan_is_shown(write) -> None:
     assert "best" not in search.says(frame)
 
 
+def test_with_and_without_the_penalty_stand_below_each_other(write) -> None:
+    write(lambda config: None)
+    for study, value in (("halfcheetah", 900.0), ("no-gradient-penalty", 100.0)):
+        (config,) = [
+            c for c in study_configs(study, "book", 1) if (c.method, c.body) == ("silem", "HC2")
+        ]
+        synthetic.write_record(config, return_mean=value)
+    both = [results.load_records(name, "book") for name in ("halfcheetah", "no-gradient-penalty")]
+    table = search.penalty_table(*both).set_index(["body", "method", "penalty"])
+    returns = table["return of an episode"].to_dict()
+    assert 880 < int(returns["HC2", "SILEM", "yes"]) < 920
+    assert 80 < int(returns["HC2", "SILEM", "no"]) < 120
+    assert returns["HC1", "SILEM⁻", "no"] == "–"
+    assert table.loc[("HC1", "SILEM⁻", "no"), "trials"] == "no run"
+
+
 # ---------------------------------------------------------------- the transform's travel
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -237,18 +238,16 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
         penalised: Runs of the study "halfcheetah" (`results.load_records`).
         unpenalised: Runs of the study "no-gradient-penalty" at the same budget.
     """
-    compared = {"return_mean": ("return", 0), "disc_reward": ("reward of D", 0)}
-    compared["speed_m_s"] = ("speed (m/s)", 2)
     rows = []
-    for body in results.body_names(unpenalised):
-        for method in ("silem", "silem-minus"):
-            for penalty, frame in (("yes", penalised), ("no", unpenalised)):
-                runs = results.cell(frame, method, body)
-                row = {"body": body, "method": _label(body, method), "penalty": penalty}
-                row["trials"] = str(len(runs)) if len(runs) else "no run"
-                for column, (heading, digits) in compared.items():
-                    row[heading] = tables.number(runs[column].mean(), digits)
-                rows.append(row)
+    for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
+        for penalty, frame in (("yes", penalised), ("no", unpenalised)):
+            runs = results.cell(frame, method, body)
+            row = {"body": body, "method": _label(body, method), "penalty": penalty}
+            row["trials"] = str(len(runs)) if len(runs) else "no run"
+            for name in ("return_mean", "disc_reward", "speed_m_s"):
+                heading, digits = _QUANTITIES[name]
+                row[heading] = tables.number(runs[name].mean(), digits)
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
