@@ -161,7 +161,9 @@ def no_offscreen_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def only_demonstrations(execute: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def only_demonstrations(
+    execute: Execute, papermill: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A data folder with nothing but the committed demonstrations: no results, no raw clips."""
     folder = tmp_path / "data"
     shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")

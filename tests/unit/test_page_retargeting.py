@@ -252,14 +252,15 @@ def test_no_pose_of_the_arm_brings_a_hand_much_closer(
 
 
 def test_film_shows_the_bodies_beside_the_man_in_real_time(
-    human: Motion, results: list[IKResult]
+    human: Motion, results: list[IKResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if why := film.why_no_pictures("Humanoid"):
         pytest.skip(why)
+    monkeypatch.setattr(film, "PANEL", (80, 110))
     clip = page.beside(human, results[:1], 0.1)
     assert clip.frames_per_s == 20
-    assert clip.frames.shape == (3, 440, 2 * 320 + 8, 3)
-    man, gap, body = np.split(clip.frames, [320, 328], axis=2)
+    assert clip.frames.shape == (3, 110, 2 * 80 + 8, 3)
+    man, gap, body = np.split(clip.frames, [80, 88], axis=2)
     assert (gap == 255).all()
     assert not np.array_equal(man, body)
     for panel in (man, body):
