@@ -107,9 +107,8 @@ def rollout(
     policy = policy or random_policy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
-    with closing(
-        silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
-    ) as env:
+    made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    with closing(made) as env:
         env.picture_size = size
         observations: Any = env.reset()
         frames: list[Any] = [env.render()]

@@ -25,7 +25,7 @@ from traitlets import Type
 from traitlets.config import Config
 
 from silem.envs import make_vec
-from silem.motion import demonstrations, fetch
+from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
@@ -168,7 +168,7 @@ def only_demonstrations(
     folder = tmp_path / "data"
     shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")
     monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-    monkeypatch.setenv(fetch.ENV, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(clips.ENV, str(tmp_path / "nowhere"))
 
 
 def find(run_id: str, data_dir: Path) -> RunRecord:
