@@ -10,12 +10,13 @@ from typing import Any
 
 from silem import bodies
 from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
-from silem.study import campaign, runs, studies
+from silem.study import campaign, runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
 from silem.study.evaluate import evaluate
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.study.training import task_options
 from silem.util import paths
 from silem.util.errors import SilemError
 
@@ -83,11 +84,27 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--seed", type=int, default=0)
     command.set_defaults(command=_render)
 
+    command = commands.add_parser("verify", help="check records, and evaluate policies anew")
+    command.add_argument("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
+    command.add_argument(
+        "--episodes",
+        type=int,
+        default=verify.N_EPISODES,
+        help="of each policy (default: %(default)s)",
+    )
+    command.set_defaults(command=_verify)
+
     command = commands.add_parser("bodies", help="list the bodies")
     command.set_defaults(command=_bodies)
     command = commands.add_parser(
-        "mocap", help="make the human's demonstrations, and retarget them, from CMU's clips"
+        "mocap",
+        help="make the human's demonstrations, and retarget them, from CMU's or your clips",
     )
+    command.add_argument("--asf", type=Path, help="the skeleton of a clip of your own")
+    command.add_argument("--amc", type=Path, help="the clip")
+    command.add_argument("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
+    command.add_argument("--name", help="what --demonstrations will find it by")
+    command.add_argument("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
     add_quiet(command)
     command.set_defaults(command=_mocap)
     return whole
@@ -130,9 +147,20 @@ def _finished(run_id: str) -> RunRecord:
 
 def _evaluate(options: argparse.Namespace) -> None:
     record = _finished(options.run_id)
-    learner = record.run_config().learner
-    result = evaluate(load_policy(record), learner, options.episodes, progress=True)
+    config = record.run_config()
+    task = task_options(config)
+    result = evaluate(load_policy(record), config.learner, options.episodes, progress=True, **task)
     _print_evaluation(record.run_id, result.to_dict())
+
+
+def _verify(options: argparse.Namespace) -> None:
+    verdicts = []
+    for verdict in verify.verify_all(options.name, options.episodes):
+        print(verdict, flush=True)
+        verdicts.append(verdict)
+    refuted = [verdict.name for verdict in verdicts if verdict.outcome == verify.NOT]
+    if refuted:
+        raise SilemError(f"{len(refuted)} of {len(verdicts)} are not what they say")
 
 
 def _demonstrations(options: argparse.Namespace) -> None:
@@ -165,11 +193,17 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _mocap(options: argparse.Namespace) -> None:
-    from silem.motion.clips import publish_clips
-    from silem.motion.retarget_report import publish_retargeted
+    from silem.motion import demonstrator, retargeting
 
     progress = not options.quiet
-    for path in (*publish_clips(progress=progress), *publish_retargeted(progress=progress)):
+    own = (options.name, options.asf, options.amc, options.rate_hz)
+    if own == (None,) * 4:
+        written, clip = demonstrator.publish_clips(progress=progress), "08_01"
+    elif None in own:
+        raise SilemError("mocap needs --asf, --amc, --rate-hz and --name for a clip of your own")
+    else:
+        written, clip = [demonstrator.publish_own(*own, floor_slope=options.floor_slope)], own[0]
+    for path in (*written, *retargeting.publish_retargeted(clip, progress=progress)):
         print(path)
 
 

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from silem.motion.features import POINTS
-from silem.motion.targets import SIDES
+from silem.motion.kinematics import SIDES
 from silem.report import style
 
 SIDE_COLORS = {"left": "#E07B39", "right": "#0072B2"}

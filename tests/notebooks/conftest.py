@@ -25,7 +25,7 @@ from traitlets import Type
 from traitlets.config import Config
 
 from silem.envs import make_vec
-from silem.motion import demonstrations, fetch
+from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
@@ -161,12 +161,14 @@ def no_offscreen_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def only_demonstrations(execute: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def only_demonstrations(
+    execute: Execute, papermill: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A data folder with nothing but the committed demonstrations: no results, no raw clips."""
     folder = tmp_path / "data"
     shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")
     monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-    monkeypatch.setenv(fetch.ENV, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(clips.ENV, str(tmp_path / "nowhere"))
 
 
 def find(run_id: str, data_dir: Path) -> RunRecord:

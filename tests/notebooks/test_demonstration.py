@@ -6,7 +6,7 @@ import nbformat
 import pytest
 from conftest import Execute, glue_roles, output, path_of, said, words
 
-from silem.motion import fetch
+from silem.motion import clips
 from silem.motion.demonstrator import CLIPS
 
 NAME = "09_demonstration"
@@ -33,4 +33,4 @@ def test_without_offscreen_rendering(papermill: Execute, monkeypatch: pytest.Mon
 def test_the_acknowledgement_is_word_for_word() -> None:
     cells = nbformat.read(path_of(NAME), as_version=4).cells
     prose = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
-    assert fetch.ACKNOWLEDGEMENT in " ".join(prose.replace("\n> ", " ").split())
+    assert clips.ACKNOWLEDGEMENT in " ".join(prose.replace("\n> ", " ").split())

@@ -7,7 +7,7 @@ import pytest
 from drawn import assert_readable, texts
 
 from silem import bodies
-from silem.motion.clips import published_motion
+from silem.motion.demonstrator import published_motion
 from silem.report import film
 from silem.report.pages import humanoids
 from silem.util.errors import SilemError
@@ -84,14 +84,17 @@ def test_the_rewards_factors_are_what_the_page_says() -> None:
 
 
 @needs_pictures
-def test_a_fall_is_filmed_in_real_time_beyond_the_end_of_an_episode() -> None:
+def test_a_fall_is_filmed_in_real_time_beyond_the_end_of_an_episode(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(film, "PANEL", (80, 110))
     clip = humanoids.fall(["Humanoid", "HumanoidR"], 1.0, 0.6)
-    assert clip.frames.shape == (13, 440, 2 * 320 + 8, 3)
+    assert clip.frames.shape == (13, 110, 2 * 80 + 8, 3)
     assert clip.duration_s == pytest.approx(0.65)
-    fallen, before = clip.frames[-1, :, :320].astype(int), clip.frames[-2, :, :320].astype(int)
+    fallen, before = clip.frames[-1, :, :80].astype(int), clip.frames[-2, :, :80].astype(int)
     assert np.abs(fallen - before).max() > 20  # it still moves
-    again = humanoids.fall(["Humanoid", "HumanoidR"], 1.0, 0.6)
-    assert np.array_equal(clip.frames, again.frames)
+    again = humanoids.fall(["Humanoid"], 1.0, 0.6)
+    assert np.array_equal(clip.frames[:, 40:, :80], again.frames[:, 40:])
     limp = humanoids.fall(["Humanoid", "HumanoidR"], 0.0, 0.6)
     assert np.array_equal(limp.frames[0], clip.frames[0])
     assert not np.array_equal(limp.frames[-1], clip.frames[-1])

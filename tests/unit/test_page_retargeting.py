@@ -14,12 +14,18 @@ from matplotlib.patches import Circle
 from scipy.optimize import minimize
 
 from silem.bodies.humanoid import ARM_FACTORS
-from silem.motion.clips import published_motion
-from silem.motion.demonstrator import Motion
+from silem.motion.demonstrator import Motion, published_motion
 from silem.motion.features import POINTS
-from silem.motion.retarget import TOLERANCE_M, IKResult
-from silem.motion.retarget_report import BODIES, learner, published_retargeting
-from silem.motion.targets import SIDES, TARGETS, standing_feet
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import (
+    BODIES,
+    TARGETS,
+    TOLERANCE_M,
+    IKResult,
+    learner,
+    published_retargeting,
+    standing_feet,
+)
 from silem.report import film, style
 from silem.report.pages import retargeting as page
 from silem.report.stick_figure import SIDE_COLORS
@@ -252,14 +258,15 @@ def test_no_pose_of_the_arm_brings_a_hand_much_closer(
 
 
 def test_film_shows_the_bodies_beside_the_man_in_real_time(
-    human: Motion, results: list[IKResult]
+    human: Motion, results: list[IKResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if why := film.why_no_pictures("Humanoid"):
         pytest.skip(why)
+    monkeypatch.setattr(film, "PANEL", (80, 110))
     clip = page.beside(human, results[:1], 0.1)
     assert clip.frames_per_s == 20
-    assert clip.frames.shape == (3, 440, 2 * 320 + 8, 3)
-    man, gap, body = np.split(clip.frames, [320, 328], axis=2)
+    assert clip.frames.shape == (3, 110, 2 * 80 + 8, 3)
+    man, gap, body = np.split(clip.frames, [80, 88], axis=2)
     assert (gap == 255).all()
     assert not np.array_equal(man, body)
     for panel in (man, body):

@@ -13,10 +13,10 @@ from matplotlib.ticker import MaxNLocator
 
 from silem.bodies import MujocoBody
 from silem.motion import demonstrations
-from silem.motion.clips import published_name
-from silem.motion.demonstrator import CLIPS, Motion
+from silem.motion.demonstrator import CLIPS, Motion, published_name
 from silem.motion.features import FEATURES, POINTS, Landmarks
-from silem.motion.targets import SIDES, standing_feet
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import standing_feet
 from silem.report import stick_figure, style
 from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
 
