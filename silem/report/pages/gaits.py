@@ -22,7 +22,7 @@ from silem.study import gait, runs
 from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
-from silem.study.record import POLICY, RunRecord
+from silem.study.record import RunRecord
 from silem.util.errors import SilemError
 
 _METHODS = ("silem", "silem-minus")
@@ -44,7 +44,7 @@ def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | 
     """Return the gaits of a body's experts by the name of their demonstrations ("HC0_s1").
 
     The published demonstrations are measured where there are any of the run, else episodes
-    recorded here. A trial whose run is not there, or has no policy, is None.
+    recorded here. A trial whose run is not there is None.
 
     Args:
         body: A runner.
@@ -55,7 +55,7 @@ def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | 
     for config in experts(body, budget):
         record, name = runs.find(config.run_id), f"{body}_s{config.seed}"
         shown[name] = None
-        if record is not None and POLICY in record.files:
+        if record is not None:
             episodes = _episodes(record, n_trajectories)
             shown[name] = ExpertGait(record, episodes, gait.measure(episodes))
     return shown
@@ -302,15 +302,15 @@ def _verdict(found: Effects) -> str:
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
-    """Return the study's best and worst run that can be filmed, by what to call them."""
+    """Return the study's best and worst run, by what to call them; nothing without any score."""
     ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
-    records = [results.find(run_id) for run_id in ordered["run_id"]]
-    there = [record for record in records if POLICY in record.files]
     named = {}
-    for word, record in zip(("best", "worst"), there[:-2:-1] + there[:1], strict=False):
-        config = record.run_config()
-        label = style.method(config.method).label.partition(" (")[0]
-        named[f"{word}: {config.body}, {label}, trial {_trial(config.demonstrations)}"] = record
+    for word, run in zip(
+        ("best", "worst"), ordered.iloc[[-1, 0][: len(ordered)]].itertuples(), strict=False
+    ):
+        label = style.method(run.method).label.partition(" (")[0]
+        name = f"{word}: {run.body}, {label}, trial {_trial(run.demonstrations)}"
+        named[name] = results.find(run.run_id)
     return named
 
 
