@@ -52,6 +52,25 @@ def link_names(robot: int, client: int) -> dict[str, int]:
     return {base: BASE} | links
 
 
+def measure(body: BulletBody) -> dict[str, dict[str, Any]]:
+    """Return `masses_kg` by link and `joints`, their limits in rad, of a body that is loaded."""
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        robot = load(body, client)
+        masses = {
+            name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
+            for name, link in link_names(robot, client).items()
+        }
+        infos = {info[1].decode(): info for info in joint_infos(robot, client)}
+    finally:
+        pybullet.disconnect(physicsClientId=client)
+    joints = [motor.joint for motor in body.motors]
+    return {
+        "masses_kg": {name: mass for name, mass in masses.items() if mass > 0},
+        "joints": {name: tuple(infos[name][8:10]) for name in infos if name in joints},
+    }
+
+
 @contextlib.contextmanager
 def _model_file(body: BulletBody) -> Iterator[str]:
     """Give the body's model as a file, the only form in which PyBullet loads it."""

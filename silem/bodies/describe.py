@@ -6,9 +6,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import pybullet
 
-from silem.bodies import bullet, registry
+from silem.bodies import registry
 from silem.bodies.body import Body, BulletBody
 from silem.bodies.shapes import shapes
 
@@ -50,31 +49,14 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        robot = bullet.load(body, client)
-        return {
-            "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
-            "masses_kg": _masses(robot, client),
-            "joints": _joints(body, robot, client),
-        }
-    finally:
-        pybullet.disconnect(physicsClientId=client)
+    from silem.bodies import (
+        bullet,
+    )  # PyBullet greets on standard output: only who needs it loads it
 
-
-def _masses(robot: int, client: int) -> dict[str, float]:
-    links = bullet.link_names(robot, client).items()
-    masses = {
-        name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
-        for name, link in links
+    measured = bullet.measure(body)
+    return measured | {
+        "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)}
     }
-    return {name: mass for name, mass in masses.items() if mass > 0}
-
-
-def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float]]:
-    actuated = {motor.joint for motor in body.motors}
-    infos = bullet.joint_infos(robot, client)
-    return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
 
 
 def _in_mujoco(body: Body) -> dict[str, dict[str, Any]]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
-
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.base import MAX_STEPS, BatchedEnv
@@ -25,7 +23,6 @@ __all__ = [
     "MujocoEnv",
     "MujocoVecEnv",
     "make_vec",
-    "register_gymnasium_ids",
 ]
 
 
@@ -47,24 +44,3 @@ def make_vec(
     found = bodies.get(body) if isinstance(body, str) else body
     make = MujocoVecEnv if found.engine == "mujoco" else BulletVecEnv
     return make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
-
-
-_ENTRY_POINTS = {
-    "bullet": "silem.envs.bullet.single_env:BulletEnv",
-    "mujoco": "silem.envs.mujoco.single_env:MujocoEnv",
-}
-
-
-def register_gymnasium_ids() -> None:
-    """Register `silem/<body>-v0` for every body that has no id yet."""
-    for name in bodies.names():
-        if f"silem/{name}-v0" not in gymnasium.registry:
-            gymnasium.register(
-                f"silem/{name}-v0",
-                entry_point=_ENTRY_POINTS[bodies.get(name).engine],
-                max_episode_steps=MAX_STEPS,
-                kwargs={"body": name},
-            )
-
-
-register_gymnasium_ids()

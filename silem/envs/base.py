@@ -12,10 +12,9 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
+from silem.bodies.registry import MAX_STEPS as MAX_STEPS
 from silem.envs.filmed import Filmed
 from silem.util.errors import SilemError, choose
-
-MAX_STEPS = 1000
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -9,11 +9,16 @@ from typing import Any
 from silem import paper
 from silem.util.errors import SilemError
 
+LARGEST = 10**9
+"""More of anything cannot be run through."""
+
 
 def check_positive_int(name: str, value: Any) -> None:
-    """Raise SilemError unless a value is a whole number above 0."""
+    """Raise SilemError unless a value is a whole number from 1 to `LARGEST`."""
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
         raise SilemError(f"{name} must be a positive whole number, not {value!r}")
+    if value > LARGEST:
+        raise SilemError(f"{name} must be a positive whole number up to {LARGEST}")
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,8 @@ class Budget:
     checkpoint_every: int  # iterations; episodes start anew at every checkpoint
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise SilemError(f"the name of a budget must be text, not {self.name!r}")
         for field in dataclasses.fields(self):
             if field.name != "name":
                 check_positive_int(f"budget {field.name}", getattr(self, field.name))

@@ -19,6 +19,7 @@ from silem.util import files
 from silem.util.errors import SilemError
 
 CHECKPOINT = "checkpoint.safetensors"
+PROGRESS = "progress.json"
 _MODEL = "model/"
 
 

@@ -131,7 +131,10 @@ class RunConfig:
     @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
-        words = ["python -m silem run", f"--body {self.body}", f"--method {self.method}"]
+        words = ["python -m silem run"]
+        if module := bodies.module_of(self.body):
+            words.append(f"--import {module}")
+        words += [f"--body {self.body}", f"--method {self.method}"]
         if self.demonstrations:
             words.append(f"--demonstrations {self.demonstrations}")
         name, _, iterations = self.budget.name.partition("-")

@@ -7,8 +7,6 @@ from pathlib import Path
 from silem.motion import demonstrations as demos
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, Budget, RunConfig
-from silem.study.evaluate import record_episodes
-from silem.study.policies import load_policy
 from silem.study.record import RunRecord
 from silem.util.errors import SilemError
 
@@ -82,6 +80,9 @@ def demonstrate(
         SilemError: The run is no expert's, or there are demonstrations of this name by another
             run already.
     """
+    from silem.study.evaluate import record_episodes
+    from silem.study.policies import load_policy
+
     body = record.config["body"]
     name = body if name is None else name
     if record.config["method"] != "ppo":

@@ -7,6 +7,7 @@ open.
 from __future__ import annotations
 
 import dataclasses
+import sys
 from dataclasses import dataclass
 from typing import Any
 
@@ -144,8 +145,12 @@ def _checked(name: str, default: Any, value: Any) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
+    try:
+        value = float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        raise SilemError(f"{name} is out of range: beyond {sys.float_info.max:.2g}") from None
     lowest_allowed = value > _LOWER_BOUNDS.get(name, 0) or (value == 0 and name in _MAY_BE_ZERO)
     limit = 1.0 if name in _AT_MOST_ONE else float("inf")
     if not lowest_allowed or not value <= limit or value == float("inf"):
         raise SilemError(f"{name} is out of range: {value!r}")
-    return float(value)
+    return value

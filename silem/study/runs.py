@@ -5,27 +5,25 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from silem import bodies
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.ppo import PPO
-from silem.algorithms.silem import SILEM
-from silem.algorithms.transforms import AffineTransform
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import RunConfig
-from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
-from silem.study.training import PROGRESS, Segments, make_env, make_model, train
 from silem.util import files, paths
 from silem.util.errors import SilemError
+
+if TYPE_CHECKING:
+    from silem.algorithms.ppo import PPO
+    from silem.study.evaluate import Evaluation
+    from silem.study.training import Segments
 
 LOCK = "run.lock"
 
@@ -113,6 +111,12 @@ def run(
 
 def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it."""
+    import torch  # here, so that looking runs up does not load it
+
+    from silem.algorithms.gaifo import AdversarialImitation
+    from silem.study.evaluate import evaluate, random_policy
+    from silem.study.training import make_env, make_model, train
+
     torch.set_num_threads(1)
     began = time.perf_counter()
     source = provenance()
@@ -161,6 +165,9 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
+    from silem.algorithms.silem import SILEM
+    from silem.algorithms.transforms import AffineTransform
+
     files.write_text(folder / CURVE, curve.to_csv(values))
     files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):

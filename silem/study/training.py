@@ -21,11 +21,10 @@ from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import HUMAN, RunConfig, retargeted
 from silem.util import files, seeding
 
-PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
 # What only imitators' constructors take, under the same names as in HyperParameters.
 _IMITATION_ARGUMENTS = (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from silem import __main__ as command_line
+from silem import cli as command_line
 from silem.util.paths import REPO
 
 PAGES = ["README.md", "book/how_to_run.md", "book/deviations.md"]

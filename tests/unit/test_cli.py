@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from silem import bodies
-from silem.__main__ import main
+from silem.cli import main
 from silem.study import runs
 from silem.study.config import BUDGETS, RunConfig
 from silem.util import files, paths

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from silem import bodies, paper
-from silem.__main__ import config_of, parser
 from silem.bodies import humanoid, registry
+from silem.cli import config_of, parser
 from silem.study.config import BUDGETS, METHODS, TRIAL_SEEDS, Budget, HyperParameters, RunConfig
 from silem.util.errors import SilemError
 
