@@ -13,6 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small n
 
 import silem.util.offscreen  # noqa: F401  before anything imports MuJoCo
 from silem import bodies
+from silem.bodies import own
 
 if TYPE_CHECKING:
     from silem.algorithms import PPO, SILEM, TPIL
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from silem.study.evaluate import evaluate
     from silem.study.record import RunRecord
     from silem.study.runs import run
+    from silem.study.training import settings
     from silem.util.errors import SilemError
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "evaluate",
     "make_vec",
     "run",
+    "settings",
 ]
 __version__ = "0.1.0"
 
@@ -50,6 +53,7 @@ _HOMES = {
     "evaluate": "silem.study.evaluate",
     "make_vec": "silem.envs",
     "run": "silem.study.runs",
+    "settings": "silem.study.training",
 }
 
 
@@ -63,4 +67,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-bodies.load_installed()
+own.load_installed()

@@ -17,11 +17,12 @@ from typing import Any, NoReturn
 
 import silem
 from silem import bodies
+from silem.bodies import own
 from silem.study import runs, studies
-from silem.study.budgets import LARGEST
-from silem.study.config import BUDGETS, METHODS, Budget, HyperParameters, RunConfig
+from silem.study.config import RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RECORD, RunRecord
+from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             try:
                 options = parser().parse_args(arguments)
                 for module in options.modules:
-                    bodies.load(module)
+                    own.load(module)
                 options.command(options)
             finally:
                 sys.stdout.flush()  # while a closed pipe can still be answered for

@@ -13,7 +13,7 @@ from silem.bodies.body import (
     Skeleton,
 )
 from silem.bodies.describe import describe
-from silem.bodies.registry import get, load, load_installed, module_of, names, of_kind, register
+from silem.bodies.registry import get, names, of_kind, register
 
 __all__ = [
     "AliveRule",
@@ -25,9 +25,6 @@ __all__ = [
     "Skeleton",
     "describe",
     "get",
-    "load",
-    "load_installed",
-    "module_of",
     "names",
     "of_kind",
     "register",

@@ -19,6 +19,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from silem import bodies
+from silem.bodies import own
 from silem.motion.demonstrations import file_of
 from silem.study import demonstrate, runs
 from silem.study.checkpoint import PROGRESS
@@ -212,7 +213,7 @@ class _Pool:
 
     def _spawn(self, task: Task, log: Path) -> int:
         command = [sys.executable, "-m", "silem", *task.arguments]
-        for module in sorted({bodies.module_of(name) or "" for name in bodies.names()} - {""}):
+        for module in sorted({own.module_of(name) or "" for name in bodies.names()} - {""}):
             command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         if root := paths.checkout():

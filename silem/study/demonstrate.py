@@ -6,8 +6,9 @@ from pathlib import Path
 
 from silem.motion import demonstrations as demos
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, Budget, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RunRecord
+from silem.study.settings import Budget
 from silem.util.errors import SilemError
 
 

@@ -16,7 +16,8 @@ from silem import bodies, cli
 from silem.cli import main, parser
 from silem.report import video
 from silem.study import runs
-from silem.study.config import BUDGETS, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS
 from silem.util import files, paths
 
 
