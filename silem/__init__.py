@@ -16,7 +16,7 @@ from silem import bodies
 from silem.bodies import own
 
 if TYPE_CHECKING:
-    from silem.algorithms import PPO, SILEM, TPIL
+    from silem.algorithms import PPO, SILEM, TPIL, GAIfO, load_policy
     from silem.envs import make_vec
     from silem.motion.demonstrations import Demonstrations
     from silem.study.config import RunConfig
@@ -31,11 +31,13 @@ __all__ = [
     "SILEM",
     "TPIL",
     "Demonstrations",
+    "GAIfO",
     "RunConfig",
     "RunRecord",
     "SilemError",
     "bodies",
     "evaluate",
+    "load_policy",
     "make_vec",
     "run",
     "settings",
@@ -46,6 +48,8 @@ _HOMES = {
     "PPO": "silem.algorithms",
     "SILEM": "silem.algorithms",
     "TPIL": "silem.algorithms",
+    "GAIfO": "silem.algorithms",
+    "load_policy": "silem.algorithms",
     "Demonstrations": "silem.motion.demonstrations",
     "RunConfig": "silem.study.config",
     "RunRecord": "silem.study.record",

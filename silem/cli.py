@@ -333,7 +333,7 @@ def _evaluate(options: argparse.Namespace) -> None:
 
 
 def _demonstrations(options: argparse.Namespace) -> None:
-    from silem.study.demonstrate import demonstrate, demonstrator, trial_name
+    from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
 
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
@@ -349,10 +349,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
     path = demonstrate(
         record, options.trajectories, name=name, force=options.force, progress=not options.quiet
     )
-    print(
-        f"{path}: {options.trajectories} trajectories of {record.run_id}, return"
-        f" {record.evaluation['return_mean']:.0f}, {record.evaluation['speed_m_s']:.2f} m/s"
-    )
+    print(f"{path}: {describe(path.stem)}")
 
 
 def _render(options: argparse.Namespace) -> None:

@@ -21,7 +21,7 @@ from silem.util import files, paths
 from silem.util.errors import SilemError
 
 if TYPE_CHECKING:
-    from silem.algorithms.ppo import PPO
+    from silem.algorithms import PPO
     from silem.study.evaluate import Evaluation
     from silem.study.training import Segments
 
@@ -113,7 +113,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it."""
     import torch  # here, so that looking runs up does not load it
 
-    from silem.algorithms.gaifo import AdversarialImitation
+    from silem.algorithms import GAIfO
     from silem.study.evaluate import evaluate, random_policy
     from silem.study.training import make_env, make_model, train
 
@@ -137,7 +137,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     finally:
         env.close()
     training = _training(config, segments)
-    scorer = model if isinstance(model, AdversarialImitation) else None
+    scorer = model if isinstance(model, GAIfO) else None
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
@@ -165,8 +165,8 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
-    from silem.algorithms.silem import SILEM
-    from silem.algorithms.transforms import AffineTransform
+    from silem.algorithms import SILEM
+    from silem.algorithms.networks import AffineTransform
 
     files.write_text(folder / CURVE, curve.to_csv(values))
     files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
