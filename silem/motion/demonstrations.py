@@ -117,17 +117,29 @@ class Demonstrations:
 
 
 def file_of(name: str) -> Path:
-    """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie."""
-    return paths.demonstrations_dir() / (name if name.endswith(".npz") else f"{name}.npz")
+    """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
+
+    What is not in the data folder may come with the package.
+    """
+    stem = name.removesuffix(".npz")
+    path = paths.demonstrations_dir() / f"{stem}.npz"
+    return paths.clips_dir() / path.name if not path.exists() and stem in _packaged() else path
+
+
+def _packaged() -> dict[str, dict[str, Any]]:
+    """Return what is said of the demonstrations that no run makes: they come with the package."""
+    manifest = files.read_json(paths.clips_dir() / MANIFEST)
+    return {name: about for name, about in manifest.items() if not about["expert_run_id"]}
 
 
 def entry(name: str) -> dict[str, Any]:
     """Return what the manifest says of published demonstrations.
 
     Raises:
-        SilemError: There are none of this name, or no manifest.
+        SilemError: There are none of this name.
     """
-    manifest = files.read_json(paths.demonstrations_dir() / MANIFEST)
+    path = paths.demonstrations_dir() / MANIFEST
+    manifest = _packaged() | (files.read_json(path) if path.exists() else {})
     found: dict[str, Any] = manifest[choose("demonstrations", name, manifest)]
     return found
 
@@ -156,7 +168,7 @@ def publish(
     Returns:
         The file.
     """
-    path = file_of(name)
+    path = paths.demonstrations_dir() / f"{name}.npz"
     demonstrations.save(path)
     manifest_path = path.parent / MANIFEST
     manifest = files.read_json(manifest_path) if manifest_path.exists() else {}
