@@ -136,7 +136,7 @@ class FlatActorCritic:
 
     def sync(self) -> None:
         """Adopt the policy again if any of its tensors was replaced; copy its moments."""
-        if self._pointers != self._tensors_pointers():
+        if self._pointers != self._tensor_pointers():
             self._adopt()
         self.refresh_moments()
 
@@ -238,11 +238,11 @@ class FlatActorCritic:
             p.data = th.from_numpy(self.params[part].reshape(shape))
             views[id(p)] = p.data.numpy(), self.grads[part].reshape(shape)
             self._adopt_moments(p, i, part, shape)
-        self._pointers = self._tensors_pointers()
+        self._pointers = self._tensor_pointers()
         self._build_towers(views)
         self.refresh_moments()
 
-    def _tensors_pointers(self) -> list[int]:
+    def _tensor_pointers(self) -> list[int]:
         """Return where parameters, moments and steps of torch's side lie now."""
         optimizer_state = self.policy.optimizer.state
         return [

@@ -225,11 +225,11 @@ class PPO(SB3PPO):
             super().train()
         else:
             self._train_fast(self._fast)
-        extractor = self.policy.features_extractor
-        if isinstance(extractor, RunningNormalizer):
-            buffer = self.rollout_buffer
-            seen = buffer.observations  # SB3's train has flattened it already
-            extractor.update(seen if buffer.generator_ready else buffer.swap_and_flatten(seen))
+        buffer = self.rollout_buffer
+        for module in self.policy.modules():
+            if isinstance(module, RunningNormalizer):
+                seen = buffer.observations  # SB3's train has flattened it already
+                module.update(seen if buffer.generator_ready else buffer.swap_and_flatten(seen))
         self._record_episodes()
 
     def _refresh_twin(self) -> None:

@@ -92,6 +92,7 @@ def export_policy(policy: object, path: Path) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
     try:
         assert type(policy) is ActorCriticPolicy
+        assert policy.share_features_extractor and not policy.use_sde
         space = policy.action_space
         about = {"activation": policy.activation_fn.__name__}
         if isinstance(space, spaces.Box):
@@ -99,7 +100,7 @@ def export_policy(policy: object, path: Path) -> None:
             about |= {"low": low, "high": high}
         arrays = collect({"policy": policy}, {})
         again = _rebuilt(arrays, about)
-        assert again.action_space.shape == space.shape and not policy.squash_output
+        assert again.action_space.shape == space.shape
         assert again.observation_space.shape == policy.observation_space.shape
         assert isinstance(policy.observation_space, spaces.Box)
     except (AssertionError, LookupError, SilemError) as error:

@@ -1,34 +1,161 @@
-"""The registry of bodies: `get`, `names`, `register`, and `describe` for what they are made of."""
+"""The registry of bodies: one name, one body, built when it is asked for."""
 
 from __future__ import annotations
 
-from silem.bodies import ant, atlas, half_cheetah, humanoid
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+from silem.bodies import ant, half_cheetah, humanoid
 from silem.bodies.body import (
+    MAX_STEPS,
     AliveRule,
     Body,
     BulletBody,
+    Engine,
     Motor,
     MujocoBody,
     Part,
     Skeleton,
+    View,
 )
-from silem.bodies.describe import describe
-from silem.bodies.registry import get, names, of_kind, register
+from silem.util.errors import SilemError, choose
 
 __all__ = [
     "AliveRule",
     "Body",
     "BulletBody",
+    "Entry",
     "Motor",
     "MujocoBody",
     "Part",
     "Skeleton",
+    "View",
     "describe",
     "get",
     "names",
     "of_kind",
     "register",
+    "watch",
 ]
 
-for _body in (*half_cheetah.BODIES, *ant.BODIES, *humanoid.BODIES, *atlas.BODIES):
-    register(_body)
+Kind = TypeVar("Kind", bound=Body)
+
+
+class Entry(NamedTuple):
+    """What the registry knows of a body without building it."""
+
+    name: str
+    family: str
+    engine: Engine
+    max_steps: int
+
+
+_BODIES: dict[str, Callable[[], Body] | Body] = {}
+_ENTRIES: dict[str, Entry] = {}
+_WATCHERS: list[Callable[[Entry], None]] = []
+
+for _family in (half_cheetah, ant, humanoid):
+    for _name, _make in _family.BODIES.items():
+        _BODIES[_name] = _make
+        _ENTRIES[_name] = Entry(_name, _family.FAMILY, _family.ENGINE, MAX_STEPS)
+
+
+def register(body: Body, replace: bool = False) -> Body:
+    """Add a body to the registry, give it its Gymnasium id, and return it.
+
+    Registering the same body again changes nothing.
+
+    Args:
+        body: The body.
+        replace: Whether it may take the place of another one of that name.
+
+    Raises:
+        SilemError: If the name is another body's, or is not fit for an id or a file.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", body.name):
+        raise SilemError(f"body named {body.name!r}; allowed: letters, digits, _, - and .")
+    if body.name in _BODIES and not replace:
+        known = get(body.name)
+        if known != body or known.model_xml() != body.model_xml():
+            raise SilemError(
+                f"another body {body.name!r} is already registered; replace=True puts this one"
+                " in its place"
+            )
+        return known
+    _BODIES[body.name] = body
+    entry = _ENTRIES[body.name] = Entry(body.name, body.family, body.engine, body.max_steps)
+    for watcher in _WATCHERS:
+        watcher(entry)
+    return body
+
+
+def watch(watcher: Callable[[Entry], None]) -> None:
+    """Call a function for each body that is registered, and at once for those that are."""
+    _WATCHERS.append(watcher)
+    for entry in _ENTRIES.values():
+        watcher(entry)
+
+
+def get(name: str) -> Body:
+    """Return the body of that name.
+
+    Raises:
+        SilemError: If there is no such body; the message lists those there are.
+    """
+    found = _BODIES[choose("body", name, _BODIES)]
+    if not isinstance(found, Body):
+        found = _BODIES[name] = found()
+    return found
+
+
+def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
+    """Return a body, given itself or its name, as one of a simulator's kind.
+
+    Args:
+        body: A body or its name.
+        kind: `BulletBody` or `MujocoBody`.
+
+    Raises:
+        SilemError: If there is no such body, or another simulator steps it.
+    """
+    found = get(body) if isinstance(body, str) else body
+    if not isinstance(found, kind):
+        wanted = kind.__name__.removesuffix("Body").lower()
+        raise SilemError(f"body {found.name!r} is simulated by {found.engine}, not by {wanted}")
+    return found
+
+
+def names(family: str | None = None) -> list[str]:
+    """Return the names of all bodies, or of one family's, in the paper's order.
+
+    Raises:
+        SilemError: If there is no such family.
+    """
+    if family is not None:
+        choose("family", family, dict.fromkeys(entry.family for entry in _ENTRIES.values()))
+    return [name for name, entry in _ENTRIES.items() if family in (None, entry.family)]
+
+
+def describe(body: Body | str) -> dict[str, Any]:
+    """Return a body's lengths, masses, joints and actuators, as its simulator has them.
+
+    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
+    the masses are read from a loaded body; MuJoCo's from the compiled model.
+
+    Args:
+        body: A body or its name.
+
+    Returns:
+        `name`, `family`, `description`; `lengths_m`: each capsule's length between the centres
+        of its caps and each sphere's radius, by the name of its geom; `masses_kg` by link,
+        massless links left out; `total_mass_kg`; `joints`: lower and upper limit in rad of each
+        hinge, None where the model sets none; `root_joints`: those along which a planar root moves;
+        `actuators`: torque in N m at action 1, by joint.
+
+    Raises:
+        SilemError: If there is no such body.
+    """
+    from silem.bodies import measure  # which needs the simulators
+
+    return measure.describe(get(body) if isinstance(body, str) else body)

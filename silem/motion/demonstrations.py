@@ -132,6 +132,11 @@ def _packaged() -> dict[str, dict[str, Any]]:
     return {name: about for name, about in manifest.items() if not about["expert_run_id"]}
 
 
+def retargeted(name: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    return f"{name}_on_{body}"
+
+
 def entry(name: str) -> dict[str, Any]:
     """Return what the manifest says of published demonstrations.
 

@@ -17,7 +17,6 @@ from silem.motion.demonstrations import Demonstrations
 from silem.motion.inverse_kinematics import SOLVER
 from silem.motion.retarget import TOLERANCE_M, IKResult, retarget_clip
 from silem.motion.targets import SIDES, TARGETS, Limbs
-from silem.study.settings import retargeted
 
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
 
@@ -91,7 +90,7 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
             result = retarget_clip(motion, learner(body), progress_bar=progress)
             extra = {array: getattr(result, array) for array in _ARRAYS}
             demonstrations = Demonstrations((result.features,), body=body, extra=extra)
-            name = retargeted(published_name(clip), body)
+            name = demos.retargeted(published_name(clip), body)
             written.append(demos.publish(name, demonstrations, _about(result)))
     return written
 
@@ -102,7 +101,7 @@ def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
     Raises:
         SilemError: It was not published, or its file is damaged.
     """
-    name = retargeted(published_name(clip), body)
+    name = demos.retargeted(published_name(clip), body)
     about, there = demos.entry(name), Demonstrations.load(name)
     return IKResult(
         body=body,

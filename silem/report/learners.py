@@ -10,9 +10,8 @@ import numpy as np
 import pandas as pd
 
 from silem import paper
-from silem.bodies import MujocoBody
-from silem.bodies.describe import describe
-from silem.envs.base import MAX_STEPS
+from silem.bodies import MujocoBody, describe
+from silem.bodies.body import MAX_STEPS
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.targets import Limbs

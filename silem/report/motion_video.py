@@ -7,6 +7,7 @@ from functools import cache
 import mujoco
 from dm_control.suite import humanoid_CMU
 
+from silem import bodies
 from silem.bodies import MujocoBody
 from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
 from silem.motion.demonstrator import BODY, SKELETON, Motion
@@ -50,6 +51,8 @@ def demonstrator() -> MujocoBody:
         motors=(),
         length=("", 0.0),
         varied=(),
+        view=bodies.get("Humanoid").view,
+        target_speed_m_s=1.0,
         skeleton=SKELETON,
         standing_pose=pose,
         standing_head_m=STANDING_HEAD_M,

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from silem.envs.mujoco.simulator import body_of
+from silem.motion.demonstrations import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
 from silem.motion.inverse_kinematics import PoseSolver
@@ -24,7 +25,7 @@ from silem.motion.targets import (
     targets,
 )
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, retargeted
+from silem.study.settings import HUMAN
 
 _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 

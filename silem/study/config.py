@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body, atlas, own
+from silem.bodies import Body, own
 from silem.study import settings
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
 from silem.util.errors import SilemError, choose
@@ -35,6 +35,7 @@ class RunConfig:
     budget: Budget
     hyper: HyperParameters
     seed: int
+    parameters: Mapping[str, float] = dataclasses.field(default_factory=dict)  # of the body
 
     @classmethod
     def create(
@@ -45,7 +46,7 @@ class RunConfig:
         budget: str | Budget = "tiny",
         seed: int = 0,
         study: str | None = None,
-        **hyper_overrides: Any,
+        **overrides: Any,
     ) -> RunConfig:
         """Make a checked configuration; the one door to `RunConfig`.
 
@@ -58,8 +59,8 @@ class RunConfig:
             budget: One of `BUDGETS`, or a `Budget` of your own.
             seed: The root seed of every random stream of the run.
             study: The folder the run belongs to; None means the body's family.
-            **hyper_overrides: Hyper-parameters that replace the supplement's best combination
-                for this cell.
+            **overrides: Hyper-parameters, and parameters of the body, that replace the
+                supplement's best combination for this cell.
 
         Raises:
             SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
@@ -77,17 +78,19 @@ class RunConfig:
         study = family if study is None else study
         if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", study):
             raise SilemError(f"study must be of a-z, 0-9, - and _, not {study!r}")
-        used = HyperParameters.names_used_by(method)
-        for name in hyper_overrides:
-            choose(f"hyper-parameter of {method}", name, used)
+        allowed = [*HyperParameters.names_used_by(method), *bodies.get(body).parameters]
+        for name in overrides:
+            choose(f"setting of {method} on {body}", name, allowed)
         resolved = settings.resolve(body, method, demonstrations)
         values = {name: setting.value for name, setting in resolved.items()}
-        hyper = HyperParameters(**(values | hyper_overrides))
-        settings.check_ankle(body, hyper.ankle_range_rad)
+        values |= overrides
+        parameters = {name: values.pop(name) for name in bodies.get(body).parameters}
+        bodies.get(body).variant(**parameters)  # which refuses what it does not allow
+        hyper = HyperParameters(**values)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
         if method != "random" and steps % minibatch:
             raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
-        return cls(study, body, method, demonstrations, budget, hyper, seed)
+        return cls(study, body, method, demonstrations, budget, hyper, seed, parameters)
 
     @property
     def transform(self) -> str | None:
@@ -97,18 +100,35 @@ class RunConfig:
     def settings(self) -> dict[str, Setting]:
         """Return every hyper-parameter in use with where it comes from."""
         resolved = settings.resolve(self.body, self.method, self.demonstrations)
-        used = {name: getattr(self.hyper, name) for name in resolved}
+        values = dataclasses.asdict(self.hyper) | dict(self.parameters)
         return {
-            name: setting if setting.value == used[name] else Setting(used[name], "this run")
+            name: setting if setting.value == values[name] else Setting(values[name], "this run")
             for name, setting in resolved.items()
         }
 
+    def describe(self) -> str:
+        """Return every value that makes this run, a line each, with where it comes from."""
+        budget = dataclasses.asdict(self.budget)
+        rows = [
+            ("study", self.study, ""),
+            ("body", self.body, bodies.get(self.body).description),
+            ("method", self.method, METHODS[self.method].about),
+            ("demonstrations", self.demonstrations or "none", ""),
+            ("seed", self.seed, ""),
+            *(
+                (name, n, f"budget {budget['name']}")
+                for name, n in budget.items()
+                if name != "name"
+            ),
+            *((name, *setting) for name, setting in self.settings().items()),
+        ]
+        lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
+        return "\n".join([self.run_id, *lines])
+
     @property
     def learner(self) -> Body:
-        """The learner's body, as this run's hyper-parameters have it."""
-        if self.hyper.ankle_range_rad:
-            return atlas.body(self.hyper.ankle_range_rad)
-        return bodies.get(self.body)
+        """The learner's body, with this run's parameters."""
+        return bodies.get(self.body).variant(**self.parameters)
 
     @property
     def run_id(self) -> str:
@@ -135,9 +155,8 @@ class RunConfig:
         if self.study != bodies.get(self.body).family:
             words.append(f"--study {self.study}")
         default = RunConfig.create(self.body, self.method, self.demonstrations or None)
-        for name in HyperParameters.names_used_by(self.method):
-            value = getattr(self.hyper, name)
-            if value != getattr(default.hyper, name):
+        for name, (value, _) in self.settings().items():
+            if value != default.settings()[name].value:
                 text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
@@ -147,7 +166,7 @@ class RunConfig:
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
-        }
+        } | dict(self.parameters)
         return {
             "study": self.study,
             "body": self.body,
@@ -165,7 +184,7 @@ class RunConfig:
         Raises:
             SilemError: A key is missing or unknown, or a value is not allowed.
         """
-        keys = [field.name for field in dataclasses.fields(cls)]
+        keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:
             for key in content:
                 choose("configuration key", key, keys)

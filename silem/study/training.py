@@ -20,11 +20,11 @@ from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
-from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters, retargeted
+from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters
 from silem.util import files, seeding
 from silem.util.errors import SilemError
 
@@ -35,7 +35,7 @@ _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 _NOT_ITS_OWN = {
     "learning_rate", "clip_range", "gamma", "gae_lambda", "n_epochs", "minibatch_size", "adam_eps",
     "policy_hidden", "log_std_init", "anneal_clip", "clip_actions", "n_trajectories",
-    "ankle_range_rad", "starts",
+    "starts",
 }  # fmt: skip
 
 

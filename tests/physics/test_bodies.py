@@ -11,10 +11,10 @@ import numpy as np
 import pybullet
 import pybullet_data
 import pytest
+from silem.bodies.shapes import shapes
 
 from silem import bodies
 from silem.bodies import mjcf
-from silem.bodies.shapes import shapes
 from silem.envs.bullet.simulator import Simulator
 from silem.util.errors import SilemError
 

@@ -13,7 +13,7 @@ from silem import bodies
 from silem.bodies.body import MujocoBody
 from silem.motion import poses
 from silem.motion.clips import published_motion
-from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import FEATURES, POINTS, Landmarks, g
 from silem.motion.retarget import IKResult, retarget_clip
@@ -25,7 +25,7 @@ from silem.motion.retarget_report import (
 )
 from silem.motion.soles import Soles
 from silem.motion.targets import STANCE_SPEED_M_S, TARGETS, Limbs, standing_feet, targets
-from silem.study.settings import HUMAN, retargeted
+from silem.study.settings import HUMAN
 from silem.util.errors import SilemError
 
 LEFT_HAND = TARGETS.index("left_hand")

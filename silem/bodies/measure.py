@@ -1,0 +1,132 @@
+"""Bodies as their simulators have them: loaded into PyBullet, and measured in either."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pybullet
+
+from silem.bodies.body import Body, BulletBody
+from silem.bodies.mjcf import shapes
+from silem.util.errors import SilemError
+
+BASE = -1  # PyBullet's number for the link at the root of a body's tree
+_FLAGS = (
+    pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+    | pybullet.URDF_GOOGLEY_UNDEFINED_COLORS
+)
+_ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+
+
+def describe(body: Body) -> dict[str, Any]:
+    """Return what `silem.bodies.describe` does."""
+    measured = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(body)
+    return {
+        "name": body.name,
+        "family": body.family,
+        "description": body.description,
+        "lengths_m": measured["lengths_m"],
+        "masses_kg": measured["masses_kg"],
+        "total_mass_kg": sum(measured["masses_kg"].values()),
+        "joints": measured["joints"],
+        "root_joints": body.root_joints if isinstance(body, BulletBody) else (),
+        "actuators": {motor.joint: motor.torque_n_m for motor in body.motors},
+    }
+
+
+def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        robot = load(body, client)
+        return {
+            "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
+            "masses_kg": _masses(robot, client),
+            "joints": _joints(body, robot, client),
+        }
+    finally:
+        pybullet.disconnect(physicsClientId=client)
+
+
+def _masses(robot: int, client: int) -> dict[str, float]:
+    links = link_names(robot, client).items()
+    masses = {
+        name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
+        for name, link in links
+    }
+    return {name: mass for name, mass in masses.items() if mass > 0}
+
+
+def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float]]:
+    actuated = {motor.joint for motor in body.motors}
+    infos = joint_infos(robot, client)
+    return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
+
+
+def _in_mujoco(body: Body) -> dict[str, dict[str, Any]]:
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    lengths = {}
+    for index, (kind, size) in enumerate(
+        zip(model.geom_type.tolist(), model.geom_size, strict=True)
+    ):
+        if (name := model.geom(index).name) and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[name] = round(float(2 * size[1] if kind in _ROUND else size[0]), 6)
+    links = [model.body(index) for index in range(1, model.nbody)]
+    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    limits = {
+        model.joint(index).name: tuple(model.jnt_range[index].tolist())
+        if model.jnt_limited[index]
+        else None
+        for index in hinges
+    }
+    masses = {link.name: float(link.mass[0]) for link in links if link.mass[0] > 0}
+    return {"lengths_m": lengths, "masses_kg": masses, "joints": limits}
+
+
+def load(body: BulletBody, client: int) -> int:
+    """Load a body as PyBullet's locomotion tasks do, and return PyBullet's number of it.
+
+    Raises:
+        SilemError: If PyBullet rejects the model.
+    """
+    with _model_file(body) as path:
+        try:
+            (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)
+        except (pybullet.error, ValueError) as error:
+            raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
+    return int(robot)
+
+
+def joint_infos(robot: int, client: int) -> list[tuple[Any, ...]]:
+    """Return PyBullet's description of every joint, in order."""
+    count = pybullet.getNumJoints(robot, physicsClientId=client)
+    return [pybullet.getJointInfo(robot, index, physicsClientId=client) for index in range(count)]
+
+
+def link_names(robot: int, client: int) -> dict[str, int]:
+    """Return the number of every named link, the base included.
+
+    The base comes first: where a link proper has the same name, the link it is.
+    """
+    base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
+    links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
+    return {base: BASE} | links
+
+
+@contextlib.contextmanager
+def _model_file(body: BulletBody) -> Iterator[str]:
+    """Give the body's model as a file, the only form in which PyBullet loads it."""
+    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            file.write(body.model_xml())
+        yield path
+    finally:
+        Path(path).unlink(missing_ok=True)
