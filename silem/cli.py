@@ -75,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return CLOSED_PIPE
     except OSError as error:
         _close_output()
-        return _end(FAILED, f"{error.filename or 'output'}: {error.strerror or error}")
+        named = f"{error.filename}: " if error.filename else ""
+        return _end(FAILED, f"{named}{error.strerror or error}")
     return OK
 
 

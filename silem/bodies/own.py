@@ -20,15 +20,16 @@ def load(module: str) -> None:
     Raises:
         SilemError: It cannot be imported, whatever the reason.
     """
-    before = set(bodies.names())
+    before = dict(bodies._ENTRIES)  # an entry is made anew whenever its body is registered
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as `python -m` has it; a console script has not
     try:
         importlib.import_module(module)
     except Exception as error:  # a stranger's module may raise anything
         raise SilemError(f"cannot import {module}: {type(error).__name__}: {error}") from error
-    for name in set(bodies.names()) - before:
-        _MODULE_OF[name] = module
+    for name, entry in bodies._ENTRIES.items():
+        if entry is not before.get(name):
+            _MODULE_OF[name] = module
 
 
 def module_of(name: str) -> str | None:

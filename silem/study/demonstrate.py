@@ -11,6 +11,7 @@ from silem.study import gait, runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RunRecord
 from silem.study.settings import Budget
+from silem.util import paths
 from silem.util.errors import SilemError
 
 
@@ -101,7 +102,7 @@ def demonstrate(
                 return path
             raise SilemError(
                 f"{path} holds {len(there.features)} trajectories of"
-                f" {there.expert_run_id or 'another expert'} already; --force replaces them"
+                f" {there.expert_run_id or 'another expert'} already; {_instead(path)}"
             )
         policy = load_policy(record)
         recorded = record_episodes(
@@ -109,6 +110,14 @@ def demonstrate(
         )
         runner = isinstance(bodies.get(body), BulletBody)
         return demos.publish(name, recorded, gait.measure(recorded)._asdict() if runner else None)
+
+
+def _instead(path: Path) -> str:
+    """Say what to do where there are demonstrations already."""
+    root = paths.checkout()
+    if root is not None and path.is_relative_to(root / "data"):  # the committed runs' own
+        return "to record others, set SILEM_DATA_DIR to another folder for expert and recording"
+    return "--force replaces them"
 
 
 def describe(name: str) -> str:

@@ -15,7 +15,7 @@ import silem
 from silem import bodies, cli
 from silem.cli import main, parser
 from silem.report import video
-from silem.study import runs
+from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
@@ -114,6 +114,20 @@ def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert [line.split()[0] for line in lines] == bodies.names()
 
 
+def test_a_body_that_a_module_replaces_is_the_modules(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(data)
+    (data / "longer.py").write_text(OWN.replace("HC1p5", "HC1").replace("1.5)", "1.5), True"))
+    done = python(
+        "-c",
+        "from silem.bodies import own; own.load('longer'); print(own.module_of('HC1'),"
+        " own.module_of('HC2'))",
+        cwd=data,
+    )
+    assert done.stdout == "longer None\n", done.stderr
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -193,6 +207,13 @@ def test_bodies_of_installed_packages(data: Path) -> None:
     assert "the bodies of no_such_plugin are left out: ModuleNotFoundError" in done.stderr
 
 
+def test_recording_never_advises_to_replace_what_is_committed(tmp_path: Path) -> None:
+    committed = demonstrate._instead(paths.REPO / "data" / "demonstrations" / "HC0.npz")
+    assert "SILEM_DATA_DIR" in committed
+    assert "--force" not in committed
+    assert "--force replaces them" in demonstrate._instead(tmp_path / "HC0.npz")
+
+
 HEAVY = ("torch", "stable_baselines3", "pybullet", "scipy", "pandas", "matplotlib", "imageio")
 
 
@@ -249,7 +270,7 @@ def test_a_closed_pipe_and_a_full_disk_are_no_traceback(data: Path) -> None:
             [sys.executable, "-m", "silem", "bodies"],
             cwd=paths.REPO, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip
-    assert (done.returncode, done.stderr) == (1, "silem: output: No space left on device\n")
+    assert (done.returncode, done.stderr) == (1, "silem: No space left on device\n")
 
 
 @pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])

@@ -35,5 +35,18 @@ def test_publishing_needs_no_returns(tmp_path: Path, monkeypatch: pytest.MonkeyP
     entry = demos.entry("clip")
     assert (entry["return_mean"], entry["source"]) == (None, "a page")
     assert entry["sha256"] == files.sha256(tmp_path / "demonstrations" / "clip.npz")
-    with pytest.raises(SilemError, match="unknown demonstrations 'dance'; allowed: .*clip"):
+    with pytest.raises(SilemError, match=r"unknown demonstrations 'dance'; allowed: .*clip"):
         demos.entry("dance")
+
+
+def test_the_clips_come_with_the_package_and_experts_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    assert Demonstrations.load("cmu_08_01").n_features == 23
+    assert demos.entry("cmu_08_01_on_Atlas")["body"] == "Atlas"
+    assert not demos.file_of("HC0").exists()
+    mine = Demonstrations.from_arrays([np.zeros((3, 2))])
+    assert demos.publish("cmu_08_01", mine).is_relative_to(tmp_path)  # and then goes before
+    assert Demonstrations.load("cmu_08_01").n_features == 2
+    assert demos.entry("cmu_08_01")["n_features"] == 2
