@@ -13,6 +13,7 @@ from silem.bodies.body import (
     Body,
     BulletBody,
     Engine,
+    GymnasiumBody,
     Motor,
     MujocoBody,
     Part,
@@ -26,6 +27,7 @@ __all__ = [
     "Body",
     "BulletBody",
     "Entry",
+    "GymnasiumBody",
     "Motor",
     "MujocoBody",
     "Part",
@@ -100,13 +102,29 @@ def watch(watcher: Callable[[Entry], None]) -> None:
 def get(name: str) -> Body:
     """Return the body of that name.
 
+    The id of a Gymnasium environment, such as "Pendulum-v1", is the name of what that moves.
+
     Raises:
         SilemError: If there is no such body; the message lists those there are.
     """
+    if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
+        return _of_gymnasium(name)
     found = _BODIES[choose("body", name, _BODIES)]
     if not isinstance(found, Body):
         found = _BODIES[name] = found()
     return found
+
+
+def _of_gymnasium(name: str) -> Body:
+    import gymnasium  # which no body of the paper needs
+
+    try:
+        spec = gymnasium.spec(name)
+    except gymnasium.error.Error as error:
+        raise SilemError(f"no body, and no Gymnasium environment {name!r}: {error}") from error
+    if spec.max_episode_steps is None:
+        raise SilemError(f"{name} has no limit of steps; evaluation needs episodes that end")
+    return GymnasiumBody(name=name, max_steps=spec.max_episode_steps)
 
 
 def of_kind(body: Body | str, kind: type[Kind]) -> Kind:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from silem.util.errors import choose
+from silem.util.errors import SilemError, choose
 
 MAX_STEPS = 1000
 """Steps after which an episode of every body of the paper is cut off."""
 
-Engine = Literal["bullet", "mujoco"]
+Engine = Literal["bullet", "mujoco", "gymnasium"]
 
 
 @dataclass(frozen=True)
@@ -217,3 +217,36 @@ class MujocoBody(Body):
     standing_head_m: float
     fall_head_m: float
     target_speed_m_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class GymnasiumBody(Body):
+    """Whatever a Gymnasium environment moves; its name is the environment's id.
+
+    It is its own family, and nothing of its model is known: g is the identity, or what the
+    environment's ``info`` supplies.
+    """
+
+    engine: Engine = "gymnasium"
+    family: str = "gymnasium"
+    description: str = "a Gymnasium environment"
+    build: Callable[[], str] = field(default=str, repr=False, compare=False)
+    motors: tuple[Motor, ...] = ()
+    length: tuple[str, float] = ("", 0.0)
+    varied: tuple[str, ...] = ()
+    view: View = View((0.0, 1.0, 0.0), 0.0, 1.0)
+    control_step_s: float = 1.0
+
+    @property
+    def action_size(self) -> int:
+        """Number of continuous actions.
+
+        Raises:
+            SilemError: The environment's actions are others.
+        """
+        import gymnasium  # which no body of the paper needs
+
+        space = gymnasium.make(self.name).action_space
+        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+            raise SilemError(f"{self.name} takes no vector of continuous actions but {space}")
+        return int(space.shape[0])

@@ -14,6 +14,8 @@ from silem import bodies
 from silem.bodies import Body, Entry
 
 if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
+
     from silem.envs.base import BatchedEnv, SingleEnv
     from silem.envs.bullet.camera import Camera
     from silem.envs.bullet.single_env import BulletEnv
@@ -31,6 +33,11 @@ _MODULES = {
     "MujocoEnv": "silem.envs.mujoco.single_env",
     "MujocoVecEnv": "silem.envs.mujoco.vec_env",
     "SingleEnv": "silem.envs.base",
+}
+_BATCHES = {
+    "bullet": ("silem.envs.bullet.vec_env", "BulletVecEnv"),
+    "mujoco": ("silem.envs.mujoco.vec_env", "MujocoVecEnv"),
+    "gymnasium": ("silem.envs.any", "make_batch"),
 }
 _SINGLE = {"bullet": "BulletEnv", "mujoco": "MujocoEnv"}
 
@@ -55,7 +62,7 @@ def __getattr__(name: str) -> Any:
 
 def make_vec(
     body: Body | str, n_envs: int = 4, seed: int = 0, max_steps: int | None = None, **options: Any
-) -> BatchedEnv:
+) -> VecEnv:
     """Make E environments with the same body, stepped as one.
 
     Args:
@@ -69,8 +76,9 @@ def make_vec(
         SilemError: If an argument is not allowed; the message says what is.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    make = __getattr__("MujocoVecEnv" if found.engine == "mujoco" else "BulletVecEnv")
-    env: BatchedEnv = make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
+    module, name = _BATCHES[found.engine]
+    make = getattr(importlib.import_module(module), name)
+    env: VecEnv = make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
     return env
 
 

@@ -165,7 +165,7 @@ def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
         row = {}
         for label, policy in policies.items():
             found = evaluate(policy, name, n_episodes, seed)
-            row[f"{label}: seconds"] = found.upright * MAX_STEPS * body.control_step_s
+            row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
             row[f"{label}: return"] = found.return_mean
         rows[name] = row
     return pd.DataFrame(rows).T.rename_axis("body")

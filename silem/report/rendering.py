@@ -123,7 +123,7 @@ def rollout(
     policy = policy or random_policy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
-    env = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    env: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
     env.picture_size = size
     try:
         observations: Any = env.reset()

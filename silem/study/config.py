@@ -66,7 +66,7 @@ class RunConfig:
             SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
                 method.
         """
-        choose("body", body, bodies.names())
+        bodies.get(body)  # which refuses what there is not
         choose("method", method, METHODS)
         family = bodies.get(body).family
         demonstrations = settings.demonstrations(body, method, demonstrations)

@@ -81,8 +81,8 @@ class Episode:
 
     features: np.ndarray
     episode_return: float
-    speed_m_s: float
-    upright: float
+    speed_m_s: float | None
+    upright: float | None
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ class Evaluation:
     return_mean: float
     return_std: float
     returns: list[float]
-    speed_m_s: float
-    upright: float
+    speed_m_s: float | None  # None where the environment does not say
+    upright: float | None
     disc_reward_mean: float | None  # per episode; None where there is no discriminator
 
     def to_dict(self) -> dict[str, Any]:
@@ -157,7 +157,8 @@ def episodes(
 
 def _episode(states: list[np.ndarray], info: dict[str, float]) -> Episode:
     features = np.stack(states).astype(np.float32)
-    return Episode(features, float(info["r"]), float(info["speed_m_s"]), float(info["upright"]))
+    told = (float(info[name]) if name in info else None for name in ("speed_m_s", "upright"))
+    return Episode(features, float(info["r"]), *told)
 
 
 def evaluate(
@@ -182,8 +183,9 @@ def evaluate(
     returns, speeds, uprights, scores = [], [], [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress):
         returns.append(episode.episode_return)
-        speeds.append(episode.speed_m_s)
-        uprights.append(episode.upright)
+        if episode.speed_m_s is not None and episode.upright is not None:
+            speeds.append(episode.speed_m_s)
+            uprights.append(episode.upright)
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
@@ -192,8 +194,8 @@ def evaluate(
         return_mean=float(np.mean(returns)),
         return_std=float(np.std(returns)),
         returns=[round(value, 3) for value in returns],
-        speed_m_s=float(np.mean(speeds)),
-        upright=float(np.mean(uprights)),
+        speed_m_s=float(np.mean(speeds)) if speeds else None,
+        upright=float(np.mean(uprights)) if uprights else None,
         disc_reward_mean=float(np.mean(scores)) if scores else None,
     )
 

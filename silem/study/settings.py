@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from silem import bodies, paper
-from silem.motion.demonstrations import retargeted
+from silem.motion.demonstrations import file_of, retargeted
 from silem.util.errors import SilemError, choose
 
 HUMAN = "cmu_08_01"
@@ -381,8 +381,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    if wanted and original in bodies.names():  # a body's demonstrator, or one trial: "HC0_s3"
+    if wanted and original in bodies.names() and not file_of(wanted).exists():
+        # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
         choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
+    if not wanted and bodies.get(body).family not in FAMILIES:
+        raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
 
 
