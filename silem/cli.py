@@ -18,13 +18,13 @@ from typing import Any, NoReturn
 import silem
 from silem import bodies
 from silem.bodies import own
-from silem.study import runs, studies
+from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters
 from silem.util import files, paths
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
 """Exit codes; the last two are a shell's for SIGINT and SIGPIPE."""
@@ -132,15 +132,27 @@ def parser() -> argparse.ArgumentParser:
             "--iterations", type=_whole(1), metavar="N", help="the budget with N iterations instead"
         )
 
+    def add_cell(command: argparse.ArgumentParser) -> None:
+        command.add_argument(
+            "--body", "--env", metavar="NAME",
+            help="the learner's body (see `bodies`), or the id of any Gymnasium environment",
+        )  # fmt: skip
+        command.add_argument("--method", help=", ".join(METHODS))
+        command.add_argument(
+            "--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file"
+        )
+        add_budget(command, None)
+        command.add_argument("--seed", type=_whole(0, 2**31 - 1), help="default: 0")
+        command.add_argument("--study", help="default: the body's family")
+        command.add_argument(
+            "--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter"
+        )
+        command.add_argument(
+            "--config", type=Path, help="a JSON configuration instead of all these"
+        )
+
     command = add("run", _run, "make one run, or go on with it", long=True)
-    command.add_argument("--body", help="the learner's body (see `bodies`)")
-    command.add_argument("--method", help=", ".join(METHODS))
-    command.add_argument("--demonstrations", metavar="NAME", help="the expert's body, or a clip")
-    add_budget(command, None)
-    command.add_argument("--seed", type=_whole(0, 2**31 - 1), help="default: 0")
-    command.add_argument("--study", help="default: the body's family")
-    command.add_argument("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
-    command.add_argument("--config", type=Path, help="a JSON configuration instead of all these")
+    add_cell(command)
     command.add_argument("--force", action="store_true", help="start anew, even if finished")
     command.add_argument(
         "--wait", action="store_true", help="wait for another process at work on this run"
@@ -159,6 +171,10 @@ def parser() -> argparse.ArgumentParser:
     command = add("status", _status, "what of a study is finished, running, missing", long=False)
     command.add_argument("--study", default="halfcheetah", help="default: %(default)s")
     add_budget(command, "book")
+
+    command = add("show", _show, "every value of a run, and where it comes from", long=False)
+    command.add_argument("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
+    add_cell(command)
 
     command = add("evaluate", _evaluate, "evaluate a finished run's policy anew", long=True)
     command.add_argument("run_id", metavar="RUN_ID")
@@ -185,9 +201,22 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     command.add_argument("--seed", type=_whole(0, 2**31 - 1), default=0)
 
+    command = add("verify", _verify, "check records, and evaluate policies anew", long=False)
+    command.add_argument("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
+    command.add_argument(
+        "--episodes", type=_whole(0), default=verify.N_EPISODES,
+        help="of each policy (default: %(default)s)",
+    )  # fmt: skip
+
     add("bodies", _bodies, "list the bodies", long=False)
-    about = "make the human's demonstrations, and retarget them, from CMU's clips"
-    add("mocap", _mocap, about, long=True)
+
+    about = "make the human's demonstrations, and retarget them, from CMU's or your clips"
+    command = add("mocap", _mocap, about, long=True)
+    command.add_argument("--asf", type=Path, help="the skeleton of a clip of your own")
+    command.add_argument("--amc", type=Path, help="the clip")
+    command.add_argument("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
+    command.add_argument("--name", help="what --demonstrations will find it by")
+    command.add_argument("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
     return whole
 
 
@@ -233,7 +262,7 @@ def _film(text: str) -> Path:
 
 
 def _short(text: str) -> str:
-    return repr(text if len(text) <= 60 else f"{text[:57]}...")
+    return repr(clipped(text, 60))
 
 
 def budget_of(options: argparse.Namespace) -> Budget:
@@ -250,14 +279,15 @@ def config_of(options: argparse.Namespace) -> RunConfig:
             raise SilemError(f"--config says all that {', '.join(given)} would say; give either")
         return RunConfig.from_dict(files.read_json(options.config))
     if not (options.body and options.method):
-        raise SilemError("run needs --body and --method (or --config)")
-    allowed = HyperParameters.names_used_by(choose("method", options.method, METHODS))
+        raise SilemError("--body and --method are needed, or --config")
+    method = choose("method", options.method, METHODS)
+    allowed = [*HyperParameters.names_used_by(method), *bodies.get(options.body).parameters]
     overrides = {}
     for text in options.set or ():
         name, equals, value = text.partition("=")
         if not equals:
             raise SilemError(f"--set takes NAME=VALUE, not {_short(text)}")
-        choose(f"hyper-parameter of {options.method}", name, allowed)
+        choose(f"setting of {method} on {options.body}", name, allowed)
         overrides[name] = _value(name, value)
     return RunConfig.create(
         options.body,
@@ -326,11 +356,29 @@ def _evaluate(options: argparse.Namespace) -> None:
     record = _finished(options.run_id)
     from silem.study.evaluate import evaluate
     from silem.study.policies import load_policy
+    from silem.study.training import task_options
 
-    learner = record.run_config().learner
-    policy = load_policy(record)
-    result = evaluate(policy, learner, options.episodes, progress=not options.quiet)
+    config = record.run_config()
+    policy, task, progress = load_policy(record), task_options(config), not options.quiet
+    result = evaluate(policy, config.learner, options.episodes, progress=progress, **task)
     _print_evaluation(record.run_id, result.to_dict())
+
+
+def _show(options: argparse.Namespace) -> None:
+    if options.run_id:
+        print(_finished(options.run_id).run_config().describe())
+    else:
+        print(config_of(options).describe())
+
+
+def _verify(options: argparse.Namespace) -> None:
+    verdicts = []
+    for verdict in verify.verify_all(options.name, options.episodes):
+        print(verdict, flush=True)
+        verdicts.append(verdict)
+    refuted = [verdict.name for verdict in verdicts if verdict.outcome == verify.NOT]
+    if refuted:
+        raise SilemError(f"{len(refuted)} of {len(verdicts)} are not what they say")
 
 
 def _demonstrations(options: argparse.Namespace) -> None:
@@ -366,11 +414,18 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _mocap(options: argparse.Namespace) -> None:
-    from silem.motion.clips import publish_clips
-    from silem.motion.retarget_report import publish_retargeted
+    from silem.motion import demonstrator, retargeting
 
     progress = not options.quiet
-    for path in (*publish_clips(progress=progress), *publish_retargeted(progress=progress)):
+    own_clip = (options.name, options.asf, options.amc, options.rate_hz)
+    if own_clip == (None,) * 4:
+        written, clip = demonstrator.publish_clips(progress=progress), "08_01"
+    elif None in own_clip:
+        raise SilemError("mocap needs --asf, --amc, --rate-hz and --name for a clip of your own")
+    else:
+        written = [demonstrator.publish_own(*own_clip, floor_slope=options.floor_slope)]
+        clip = options.name
+    for path in (*written, *retargeting.publish_retargeted(clip, progress=progress)):
         print(path)
 
 

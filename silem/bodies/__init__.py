@@ -45,22 +45,21 @@ Kind = TypeVar("Kind", bound=Body)
 
 
 class Entry(NamedTuple):
-    """What the registry knows of a body without building it."""
+    """A body that nobody has asked for yet: what is known of it, and what builds it."""
 
     name: str
     family: str
     engine: Engine
-    max_steps: int
+    make: Callable[[], Body]
+    max_steps: int = MAX_STEPS
 
 
-_BODIES: dict[str, Callable[[], Body] | Body] = {}
-_ENTRIES: dict[str, Entry] = {}
-_WATCHERS: list[Callable[[Entry], None]] = []
-
-for _family in (half_cheetah, ant, humanoid):
-    for _name, _make in _family.BODIES.items():
-        _BODIES[_name] = _make
-        _ENTRIES[_name] = Entry(_name, _family.FAMILY, _family.ENGINE, MAX_STEPS)
+_BODIES: dict[str, Body | Entry] = {
+    name: Entry(name, family.FAMILY, family.ENGINE, make)
+    for family in (half_cheetah, ant, humanoid)
+    for name, make in family.BODIES.items()
+}
+_WATCHERS: list[Callable[[Body | Entry], None]] = []
 
 
 def register(body: Body, replace: bool = False) -> Body:
@@ -86,17 +85,16 @@ def register(body: Body, replace: bool = False) -> Body:
             )
         return known
     _BODIES[body.name] = body
-    entry = _ENTRIES[body.name] = Entry(body.name, body.family, body.engine, body.max_steps)
     for watcher in _WATCHERS:
-        watcher(entry)
+        watcher(body)
     return body
 
 
-def watch(watcher: Callable[[Entry], None]) -> None:
+def watch(watcher: Callable[[Body | Entry], None]) -> None:
     """Call a function for each body that is registered, and at once for those that are."""
     _WATCHERS.append(watcher)
-    for entry in _ENTRIES.values():
-        watcher(entry)
+    for body in _BODIES.values():
+        watcher(body)
 
 
 def get(name: str) -> Body:
@@ -110,8 +108,8 @@ def get(name: str) -> Body:
     if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
         return _of_gymnasium(name)
     found = _BODIES[choose("body", name, _BODIES)]
-    if not isinstance(found, Body):
-        found = _BODIES[name] = found()
+    if isinstance(found, Entry):
+        found = _BODIES[name] = found.make()
     return found
 
 
@@ -151,8 +149,8 @@ def names(family: str | None = None) -> list[str]:
         SilemError: If there is no such family.
     """
     if family is not None:
-        choose("family", family, dict.fromkeys(entry.family for entry in _ENTRIES.values()))
-    return [name for name, entry in _ENTRIES.items() if family in (None, entry.family)]
+        choose("family", family, dict.fromkeys(body.family for body in _BODIES.values()))
+    return [name for name, body in _BODIES.items() if family in (None, body.family)]
 
 
 def describe(body: Body | str) -> dict[str, Any]:

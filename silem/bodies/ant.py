@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Motor, Part, View
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
 
-FAMILY, ENGINE = "ant", "bullet"
+FAMILY = "ant"
+ENGINE: Engine = "bullet"
 
 LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Motor, Part, View
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
 
-FAMILY, ENGINE = "halfcheetah", "bullet"
+FAMILY = "halfcheetah"
+ENGINE: Engine = "bullet"
 
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 

@@ -9,9 +9,11 @@ import sys
 import warnings
 
 from silem import bodies
+from silem.bodies import Body, Entry
 from silem.util.errors import SilemError
 
 _MODULE_OF: dict[str, str] = {}
+_loading: str | None = None
 
 
 def load(module: str) -> None:
@@ -20,16 +22,24 @@ def load(module: str) -> None:
     Raises:
         SilemError: It cannot be imported, whatever the reason.
     """
-    before = dict(bodies._ENTRIES)  # an entry is made anew whenever its body is registered
+    global _loading
     if (here := os.getcwd()) not in sys.path:
         sys.path.insert(0, here)  # as `python -m` has it; a console script has not
+    _loading = module
     try:
         importlib.import_module(module)
     except Exception as error:  # a stranger's module may raise anything
         raise SilemError(f"cannot import {module}: {type(error).__name__}: {error}") from error
-    for name, entry in bodies._ENTRIES.items():
-        if entry is not before.get(name):
-            _MODULE_OF[name] = module
+    finally:
+        _loading = None
+
+
+def _note(body: Body | Entry) -> None:
+    if _loading is not None:
+        _MODULE_OF[body.name] = _loading
+
+
+bodies.watch(_note)
 
 
 def module_of(name: str) -> str | None:

@@ -82,15 +82,16 @@ def make_vec(
     return env
 
 
-def _register_id(entry: Entry) -> None:
+def _register_id(body: Body | Entry) -> None:
     """Give a body its Gymnasium id, `silem/<name>-v0`."""
-    name = _SINGLE[entry.engine]
-    gymnasium.envs.registration.registry.pop(f"silem/{entry.name}-v0", None)
+    name = _SINGLE[body.engine]
+    key = f"silem/{body.name}-v0"
+    gymnasium.registry.pop(key, None)  # a body's that this one replaces
     gymnasium.register(
-        f"silem/{entry.name}-v0",
+        key,
         entry_point=f"{_MODULES[name]}:{name}",
-        max_episode_steps=entry.max_steps,
-        kwargs={"body": entry.name},
+        max_episode_steps=body.max_steps,
+        kwargs={"body": body.name},
     )
 
 

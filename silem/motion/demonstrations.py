@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from silem import bodies
 from silem.util import files, paths
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose, reason
 
 MANIFEST = "manifest.json"
 _WAIT_S = 600.0
@@ -40,10 +41,12 @@ class Demonstrations:
     def __post_init__(self) -> None:
         if not self.features:
             raise SilemError("demonstrations are empty; at least one trajectory is needed")
-        widths = {array.shape[1:] for array in self.features}
-        if len(widths) != 1 or len(next(iter(widths))) != 1:
-            raise SilemError(f"trajectories must all be (T + 1, F) with one F, got {widths}")
+        shapes = {np.shape(array)[1:] for array in self.features}
+        if len(shapes) != 1 or len(shape := next(iter(shapes))) != 1 or not shape[0]:
+            raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {shapes}")
         for i, array in enumerate(self.features):
+            if array.dtype.kind != "f":
+                raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
                 raise SilemError(
                     f"trajectory {i} has {len(array)} state(s), too short for a window: "
@@ -51,6 +54,8 @@ class Demonstrations:
                 )
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
+        if len(self.returns) not in (0, len(self.features)):
+            raise SilemError(f"{len(self.returns)} returns of {len(self.features)} trajectories")
         n_states = sum(len(array) for array in self.features)
         for name, array in self.extra.items():
             if name in _OWN or array.shape[:1] != (n_states,):
@@ -93,8 +98,8 @@ class Demonstrations:
 
     @classmethod
     def from_arrays(cls, arrays: Iterable[np.ndarray]) -> Demonstrations:
-        """Wrap (T + 1, F) arrays, checked as a file's are."""
-        return cls(tuple(np.asarray(array, dtype=np.float32) for array in arrays))
+        """Wrap (T + 1, F) arrays of numbers, checked as a file's are."""
+        return cls(tuple(_float32(array) for array in arrays))
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:
@@ -102,7 +107,7 @@ class Demonstrations:
 
         Raises:
             SilemError: If there is no such file, or it is truncated, pickled, not a
-                demonstrations file, or holds NaN.
+                demonstrations file, or holds anything but finite numbers.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -110,31 +115,71 @@ class Demonstrations:
         if missing:
             raise SilemError(f"{path.name} is no demonstrations file: it lacks {sorted(missing)}")
         features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
-        if lengths.sum() != len(features):
+        whole = features.ndim == 2 and lengths.ndim == 1 and lengths.dtype.kind == "i"
+        # sums of Python's integers cannot overflow
+        if not whole or min(lengths, default=0) < 1 or sum(lengths.tolist()) != len(features):
             raise SilemError(f"{path.name} is damaged: trajectory lengths do not add up")
-        parts = np.split(features.astype(np.float32), np.cumsum(lengths)[:-1])
-        return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
+        if returns.ndim != 1 or returns.dtype.kind != "f" or not np.isfinite(returns).all():
+            raise SilemError(f"{path.name} is damaged: its returns are no numbers")
+        if body.shape or body.dtype.kind != "U" or run_id.shape or run_id.dtype.kind != "U":
+            raise SilemError(f"{path.name} is damaged: its body or its expert's run is no text")
+        try:
+            parts = np.split(_float32(features), np.cumsum(lengths)[:-1])
+            return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
+        except SilemError as error:
+            raise SilemError(f"{path.name}: {error}") from error
+
+
+def _float32(array: Any) -> np.ndarray:
+    """Return real numbers as float32; text, booleans and complex numbers are no features."""
+    try:
+        found = np.asarray(array)
+    except (TypeError, ValueError) as error:
+        raise SilemError(f"features are no array: {reason(error)}") from error
+    if found.dtype.kind not in "fiu":
+        raise SilemError(f"features are {found.dtype}; allowed: real numbers")
+    with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
+        return found.astype(np.float32)
 
 
 def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
-    What is not in the data folder may come with the package.
+    Those that no run makes come with the package, and are found there if not in the data folder.
+
+    Raises:
+        SilemError: As `silem.util.errors.check_name`.
     """
-    stem = name.removesuffix(".npz")
-    path = paths.demonstrations_dir() / f"{stem}.npz"
-    return paths.clips_dir() / path.name if not path.exists() and stem in _packaged() else path
+    path = _own_file(name)
+    if not path.exists() and path.stem in _packaged():
+        return paths.clips_dir() / path.name
+    return path
+
+
+def _own_file(name: str) -> Path:
+    stem = check_name("demonstrations", name).removesuffix(".npz")
+    return paths.demonstrations_dir() / f"{stem}.npz"
 
 
 def _packaged() -> dict[str, dict[str, Any]]:
-    """Return what is said of the demonstrations that no run makes: they come with the package."""
-    manifest = files.read_json(paths.clips_dir() / MANIFEST)
-    return {name: about for name, about in manifest.items() if not about["expert_run_id"]}
+    return {n: about for n, about in _read(paths.clips_dir()).items() if not about["expert_run_id"]}
 
 
-def retargeted(name: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{name}_on_{body}"
+def manifest() -> dict[str, dict[str, Any]]:
+    """Return what is said of all published demonstrations, and of those with the package, by name.
+
+    Raises:
+        SilemError: The manifest is damaged.
+    """
+    return _packaged() | _read(paths.demonstrations_dir())
+
+
+def _read(folder: Path) -> dict[str, dict[str, Any]]:
+    path = folder / MANIFEST
+    content = files.read_json(path) if path.exists() else {}
+    if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
+        raise SilemError(f"{path} is no manifest of demonstrations")
+    return content
 
 
 def entry(name: str) -> dict[str, Any]:
@@ -143,10 +188,35 @@ def entry(name: str) -> dict[str, Any]:
     Raises:
         SilemError: There are none of this name.
     """
-    path = paths.demonstrations_dir() / MANIFEST
-    manifest = _packaged() | (files.read_json(path) if path.exists() else {})
-    found: dict[str, Any] = manifest[choose("demonstrations", name, manifest)]
-    return found
+    content = manifest()
+    return content[choose("demonstrations", name, content)]
+
+
+def is_published(name: str) -> bool:
+    """Return whether the file is there and the one that the manifest describes.
+
+    Whoever was killed between writing the one and the other left them apart.
+    """
+    path = file_of(name)
+    return path.exists() and manifest().get(path.stem, {}).get("sha256") == files.sha256(path)
+
+
+def load_published(name: str) -> tuple[Demonstrations, str]:
+    """Return published demonstrations and their file's SHA-256, after checking both.
+
+    Raises:
+        SilemError: The file is damaged, not the one that the manifest describes, or another body's.
+    """
+    path = file_of(name)
+    if not is_published(name):
+        raise SilemError(
+            f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
+            " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
+        )
+    there, about = Demonstrations.load(name), entry(path.stem)
+    if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
+        raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
+    return there, str(about["sha256"])
 
 
 @contextmanager
@@ -157,6 +227,7 @@ def publishing() -> Iterator[None]:
         SilemError: Another process holds it for longer than ten minutes.
     """
     with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+        files.remove_leftovers(paths.demonstrations_dir())
         yield
 
 
@@ -173,12 +244,11 @@ def publish(
     Returns:
         The file.
     """
-    path = paths.demonstrations_dir() / f"{name}.npz"
+    path = _own_file(name)
+    content = _read(path.parent)
     demonstrations.save(path)
-    manifest_path = path.parent / MANIFEST
-    manifest = files.read_json(manifest_path) if manifest_path.exists() else {}
     returns = demonstrations.returns
-    manifest[name] = {
+    content[path.stem] = {
         "body": demonstrations.body,
         "expert_run_id": demonstrations.expert_run_id,
         "n_trajectories": len(demonstrations.features),
@@ -188,5 +258,18 @@ def publish(
         **(about or {}),
         "sha256": files.sha256(path),
     }
-    files.write_json(manifest_path, dict(sorted(manifest.items())))
+    files.write_json(path.parent / MANIFEST, dict(sorted(content.items())))
     return path
+
+
+def captured_speed_m_s(name: str) -> float | None:
+    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+
+    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+
+    Raises:
+        SilemError: There are no such demonstrations, or no manifest.
+    """
+    about = entry(name)
+    captured = entry(about.get("retargeted_from", name))
+    return captured["speed_m_s"] if "capture_rate_hz" in captured else None

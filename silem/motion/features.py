@@ -139,7 +139,7 @@ def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.nd
 
 
 def _angles(segments: np.ndarray) -> np.ndarray:
-    """Return angles in rad (..., N) between vectors, the first N of (..., 2 N, 3) and the last."""
+    """Return the angles in rad (..., N) between N vectors and the next N, of (..., 2 N, 3)."""
     n = segments.shape[-2] // 2
     lengths = np.sqrt(np.add.reduce(segments * segments, -1))
     products = np.add.reduce(segments[..., :n, :] * segments[..., n:, :], -1)

@@ -14,7 +14,7 @@ from silem.bodies import MujocoBody, describe
 from silem.bodies.body import MAX_STEPS
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
-from silem.motion.targets import Limbs
+from silem.motion.retargeting import Limbs
 from silem.report import limbs
 from silem.study.evaluate import Policy, evaluate, random_policy
 

@@ -9,7 +9,7 @@ from dm_control.suite import humanoid_CMU
 
 from silem import bodies
 from silem.bodies import MujocoBody
-from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
+from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common
 from silem.motion.demonstrator import BODY, SKELETON, Motion
 from silem.report import rendering
 from silem.report.video import Clip
@@ -45,7 +45,6 @@ def demonstrator() -> MujocoBody:
     pose = tuple(model.compile().qpos0.tolist())
     return MujocoBody(
         name=BODY,
-        family="humanoid",
         description="dm_control's humanoid with the proportions of CMU's subject 8",
         build=model.to_xml,
         motors=(),
@@ -57,4 +56,5 @@ def demonstrator() -> MujocoBody:
         standing_pose=pose,
         standing_head_m=STANDING_HEAD_M,
         fall_head_m=FALL_HEAD_M,
+        **common(STANDING_HEAD_M),
     )

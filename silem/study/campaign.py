@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from silem import bodies
 from silem.bodies import own
-from silem.motion.demonstrations import file_of
+from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
 from silem.study.checkpoint import PROGRESS
 from silem.study.config import RunConfig
@@ -70,7 +70,7 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
             continue
         needs = set()
         body = config.demonstrations
-        if body and not file_of(body).exists():
+        if body and not is_published(body):
             recording = _recording(config, waiting)
             tasks.setdefault(recording.name, recording)
             needs.add(recording.name)

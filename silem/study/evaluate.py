@@ -6,7 +6,7 @@ Policies act stochastically, as in training and in the demonstrations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -103,8 +103,14 @@ class Evaluation:
 
 
 def episodes(
-    policy: Policy, body: Body | str, n_episodes: int, seed: int, *, progress: bool = False
-) -> Iterator[Episode]:
+    policy: Policy,
+    body: Body | str,
+    n_episodes: int,
+    seed: int,
+    *,
+    progress: bool = False,
+    **options: Any,
+) -> Generator[Episode, None, None]:
     """Roll out a policy for exactly `n_episodes` episodes.
 
     Every environment's number of episodes is fixed beforehand, so that short episodes are not
@@ -116,6 +122,7 @@ def episodes(
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
         progress: Show a progress bar.
+        **options: Of the environments (see `silem.envs.make_vec`).
 
     Yields:
         The episodes, in the order in which they end.
@@ -128,7 +135,7 @@ def episodes(
     n_envs = min(MAX_ENVS, n_episodes)
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1
-    env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"))
+    env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"), **options)
     name = body if isinstance(body, str) else body.name
     bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
@@ -169,6 +176,7 @@ def evaluate(
     model: GAIfO | None = None,
     *,
     progress: bool = False,
+    **options: Any,
 ) -> Evaluation:
     """Evaluate a policy over `n_episodes` episodes.
 
@@ -179,9 +187,10 @@ def evaluate(
         seed: Seed of the environments and of the policy.
         model: An imitator whose discriminator scores the episodes, if any.
         progress: Show a progress bar.
+        **options: Of the environments (see `silem.study.training.task_options`).
     """
     returns, speeds, uprights, scores = [], [], [], []
-    for episode in episodes(policy, body, n_episodes, seed, progress=progress):
+    for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
         returns.append(episode.episode_return)
         if episode.speed_m_s is not None and episode.upright is not None:
             speeds.append(episode.speed_m_s)

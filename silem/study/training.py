@@ -18,9 +18,12 @@ from tqdm import tqdm
 
 from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
+from silem.bodies import MujocoBody
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
-from silem.motion.demonstrations import Demonstrations, retargeted
+from silem.motion import demonstrations as demos
+from silem.motion import retargeted
+from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import RunConfig
@@ -39,14 +42,28 @@ _NOT_ITS_OWN = {
 }  # fmt: skip
 
 
+def task_options(config: RunConfig) -> dict[str, Any]:
+    """Return what a run's task takes from its demonstrations, for `silem.envs.make_vec`.
+
+    A captured man's mean speed, in whole cm/s, is what earns a humanoid the full reward (Figure 3b
+    of the paper); where nobody was captured the task's default stands.
+    """
+    if not config.demonstrations or not isinstance(config.learner, MujocoBody):
+        return {}
+    speed_m_s = demos.captured_speed_m_s(config.demonstrations)
+    return {} if speed_m_s is None else {"speed_m_s": round(speed_m_s, 2)}
+
+
 def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
-    options: dict[str, Any] = {}
+    options = task_options(config)
     if config.hyper.starts == "demonstration":
         # inverse kinematics and motion capture come with it, which no other run needs
-        from silem.motion.starts import demonstration_states
+        from silem.motion.retargeting import demonstration_states
 
-        name = retargeted(HUMAN, config.body)
+        name = config.demonstrations if options else HUMAN
+        if not name.endswith(retargeted("", config.body)):
+            name = retargeted(name, config.body)
         options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)
@@ -176,6 +193,7 @@ class Segments(BaseCallback):
         self._rows = list(start.curve)
         self._return: float | None = None
         self._began = self._shown = time.perf_counter()
+        self._processor_began = time.process_time()
         total, done = config.budget.n_iterations, start.iteration
         self._bar = tqdm(
             total=total, initial=done, desc=config.run_id, unit="it", disable=not progress
@@ -187,9 +205,17 @@ class Segments(BaseCallback):
         return np.array(self._rows).reshape(-1, len(curve.COLUMNS))
 
     @property
-    def wall_time_s(self) -> float:
-        """Time spent on this run so far, over all sessions."""
-        return self._start.wall_time_s + time.perf_counter() - self._began
+    def spent(self) -> dict[str, Any]:
+        """Wall and processor time spent on this run so far, over all sessions.
+
+        Processor time is None where an earlier session did not count it.
+        """
+        before = self._start.processor_time_s
+        processor_s = time.process_time() - self._processor_began
+        return {
+            "wall_time_s": self._start.wall_time_s + time.perf_counter() - self._began,
+            "processor_time_s": None if before is None else before + processor_s,
+        }
 
     @property
     def _ppo(self) -> PPO:
@@ -249,7 +275,7 @@ class Segments(BaseCallback):
         checkpoint = dataclasses.replace(
             self._start,
             iteration=self._iteration(),
-            wall_time_s=self.wall_time_s,
+            **self.spent,
             curve=self.curve,
             model=self._ppo.state_arrays(),
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, check_name
 
 PACKAGE = Path(__file__).resolve().parent.parent
 """The folder of the package."""
@@ -44,8 +44,8 @@ def data_dir() -> Path:
 
 
 def results_dir(study: str) -> Path:
-    """Return the folder of a study's published (committed) records."""
-    return data_dir() / "results" / study
+    """Return the folder of a study's published (committed) records; raises as `check_name`."""
+    return data_dir() / "results" / check_name("study", study)
 
 
 def runs_dir() -> Path:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from silem import bodies, paper
-from silem.bodies import humanoid, registry
+from silem.bodies import humanoid
 from silem.cli import config_of, parser
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters
@@ -29,6 +29,9 @@ create = RunConfig.create
         ({"seed": 1.0}, "seed must be"),
         ({"seed": True}, "seed must be"),
         ({"study": "../elsewhere"}, "study must be"),
+        ({"study": "x" * 65}, "study must be a name of at most 64"),
+        ({"study": ".."}, "study must be"),
+        ({"gradient_penalty": 10**400}, "gradient_penalty is out of range"),
         ({"gama": 0.9}, "unknown hyper-parameter of silem 'gama'; allowed: learning_rate"),
         ({"method": "ppo", "window": 3}, "unknown hyper-parameter of ppo 'window'"),
         ({"method": "silem-minus", "n_transform_updates": 3}, "of silem-minus"),
@@ -173,7 +176,7 @@ def test_the_ankles_range_is_atlas_alone() -> None:
     assert wide.run_id != narrow.run_id == create("Atlas", "silem").run_id
     assert "0.3" in wide.learner.model_xml() and wide.learner.name == "Atlas"
     assert wide.learner.model_xml() != narrow.learner.model_xml()
-    with pytest.raises(SilemError, match="setting of silem on Humanoid 'ankle_range_rad'"):
+    with pytest.raises(SilemError, match="hyper-parameter of silem 'ankle_range_rad'"):
         create("Humanoid", "silem", ankle_range_rad=0.3)
     with pytest.raises(SilemError, match="ankles within"):
         create("Atlas", "silem", ankle_range_rad=0)
@@ -209,7 +212,16 @@ def test_every_value_says_where_it_comes_from() -> None:
 def test_a_humanoid_of_ones_own_takes_the_papers_humanoids_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(registry, "_BODIES", dict(registry._BODIES))
+    monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
     bodies.register(humanoid.body("Longarm", "both arms longer", {"left": 1.4, "right": 1.4}))
     for method in ("silem", "tpil", "peng20", "ppo"):
         assert create("Longarm", method).hyper == create("Humanoid", method).hyper
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "", "-x", "a b", "x" * 65, None, 5])
+def test_names_that_become_paths_are_refused(name: Any) -> None:
+    with pytest.raises(SilemError, match="budget must be a name"):
+        dataclasses.replace(BUDGETS["tiny"], name=name)
+    if name:
+        with pytest.raises(SilemError, match="demonstrations"):
+            create("Humanoid", "silem", name)

@@ -30,7 +30,7 @@ _Numbers: TypeAlias = tuple[float, ...]
 
 
 def body_of(body: Body | str) -> BulletBody:
-    """Return a body, given itself or its name; SilemError where PyBullet does not step it."""
+    """Return a body, given itself or its name; raises SilemError where PyBullet steps it not."""
     return bodies.of_kind(body, BulletBody)
 
 

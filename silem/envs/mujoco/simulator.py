@@ -17,6 +17,9 @@ VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and
 StartStates = tuple[np.ndarray, np.ndarray]
 """Positions (S, nq) and velocities (S, nv) to start episodes from, drawn at random."""
 
+# what MuJoCo counts when it starts a state anew: of positions, velocities or accelerations
+_FAILURES = slice(mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQACC + 1)
+
 
 def body_of(body: Body | str) -> MujocoBody:
     """Return a body, given itself or its name; raises SilemError where MuJoCo does not step it."""
@@ -42,7 +45,9 @@ class Simulation:
         self._batch = Batch(self.model, n_envs, n_threads, persistent=True)
         self._landmarks = Landmarks(self.model, body.skeleton)
         self.qpos, self.qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._controls, self._time_s = self._batch.bind("ctrl"), self._batch.bind("time")
+        self._controls = self._batch.bind("ctrl")
+        self._n_failures = self._batch.warning[:, _FAILURES, 1]
+        self._none = np.zeros(n_envs, dtype=bool)
         self._views = (
             self.qpos,
             self.qvel,
@@ -51,7 +56,6 @@ class Simulation:
             self._batch.bind("subtree_linvel")[:, self._landmarks.root],
         )
         self._blank = self._batch.state[0].copy()
-        self._least_s = body.control_step_s - 0.5 * self.model.opt.timestep
 
     def place(self, index: int | np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Put a state at joint positions (nq,) and velocities (nv,), or several (n,) at theirs."""
@@ -66,9 +70,10 @@ class Simulation:
             Per environment (E,), whether its physics went wrong: MuJoCo then starts it anew.
         """
         self._controls[:] = actions
-        due_s = self._time_s + self._least_s
         self._batch.step(nstep=self.body.n_substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
-        return self._time_s < due_s
+        failed = self._n_failures.any(axis=1) if np.count_nonzero(self._n_failures) else self._none
+        self._n_failures[:] = 0
+        return failed
 
     def read(self, indices: np.ndarray | None = None) -> Reading:
         """Return copies of what the states hold: the chosen ones', or all."""

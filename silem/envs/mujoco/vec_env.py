@@ -106,7 +106,7 @@ class MujocoVecEnv(BatchedEnv):
         dones = fallen | (self._length >= self.max_steps)
         ended = dones.nonzero()[0]
         lasts = [self._summary(reading, index) for index in ended.tolist()]
-        if len(ended):  # ended states and their successors in one go: what counts are NumPy's calls
+        if lasts:  # ended states and their successors in one go: what counts are NumPy's calls
             self._begin(ended)
             reading = reading.joined(self.simulation.read(ended))
         features = reading.features()
