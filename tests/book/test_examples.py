@@ -48,18 +48,36 @@ def commands() -> list[str]:
     for page in PAGES:
         for block in blocks(page, "bash"):
             lines = block.replace("\\\n", " ").splitlines()
-            found += [line for line in lines if line.startswith("python -m silem")]
+            found += [line for line in lines if re.match(r"(python -m )?silem ", line)]
     return sorted(set(found))
 
 
 @pytest.mark.parametrize("command", commands())
 def test_commands_are_understood(command: str) -> None:
-    words = shlex.split(command)[3:]
-    if "--help" in words:
+    words = shlex.split(command.removeprefix("python -m "), comments=True)[1:]
+    if {"--help", "--version"} & {*words}:
         with pytest.raises(SystemExit, match="0"):
             command_line.main(words)
     else:
         assert callable(command_line.parser().parse_args(words).command)
+
+
+def test_the_readmes_commands_work_as_printed_in_a_fresh_shell(tmp_path: Path) -> None:
+    """In the repository, where other demonstrations of HC0 are committed; `tiny` for `quick`."""
+    (script,) = [block for block in blocks("README.md", "bash") if "silem run" in block]
+    binaries = tmp_path / "bin"
+    binaries.mkdir()
+    (binaries / "silem").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m silem "$@"\n')
+    (binaries / "silem").chmod(0o755)
+    script = script.replace("quick", "tiny").replace(". .venv/bin/activate", ":")
+    done = subprocess.run(
+        ["bash", "--noprofile", "--norc", "-euc", script],
+        cwd=REPO, env={"HOME": str(tmp_path), "PATH": f"{binaries}:/usr/bin:/bin"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "silem-data" / "demonstrations" / "HC0.npz").exists()
+    assert done.stdout.count("record.json\n") == 3
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", *PAGES[1:]])

@@ -152,7 +152,7 @@ def undeclared(area: str, declared: set[str]) -> set[str]:
     return {
         module
         for module in set().union(*map(imported, files)) - own - sys.stdlib_module_names
-        if not {canonical(name) for name in distributions.get(module, [])} & declared
+        if not {canonical(name) for name in distributions.get(module, [module])} & declared
     }
 
 

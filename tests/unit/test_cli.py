@@ -58,7 +58,10 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set =3", "unknown setting of ppo on HC0 ''"),
         ("run --body HC0 --method ppo --set gamma=", "gamma: '' is no number"),
         (f"run --body HC0 --method ppo --set learning_rate={'9' * 400}", "out of range"),
-        (f"run --body HC0 --method ppo --set n_epochs={'9' * 400}", "whole number up to 1000000000, not 999"),
+        (
+            f"run --body HC0 --method ppo --set n_epochs={'9' * 400}",
+            "whole number up to 1000000000, not 999",
+        ),
         (f"run --body HC0 --method ppo --set n_epochs={'9' * 5000}", "999...' is no number"),
         (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
         ("run --body HC0 --config a.json --seed 0", "--config says all that --body, --seed would"),
