@@ -403,7 +403,10 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> None:
     record = _finished(options.run_id)
-    from silem.report import rendering, video
+    try:
+        from silem.report import rendering, video
+    except ModuleNotFoundError as error:
+        raise SilemError(f"films need {error.name}: pip install 'silem[video]'") from error
     from silem.study.policies import load_policy
 
     policy = load_policy(record)

@@ -60,7 +60,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (f"run --body HC0 --method ppo --set learning_rate={'9' * 400}", "out of range"),
         (
             f"run --body HC0 --method ppo --set n_epochs={'9' * 400}",
-            "whole number up to 1000000000, not 999",
+            "up to 1000000000, not 99",
         ),
         (f"run --body HC0 --method ppo --set n_epochs={'9' * 5000}", "999...' is no number"),
         (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
