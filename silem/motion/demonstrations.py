@@ -145,20 +145,37 @@ def _float32(array: Any) -> np.ndarray:
 def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
+    Those that no run makes come with the package, and are found there if not in the data folder.
+
     Raises:
         SilemError: As `silem.util.errors.check_name`.
     """
+    path = _own_file(name)
+    if not path.exists() and path.stem in _packaged():
+        return paths.clips_dir() / path.name
+    return path
+
+
+def _own_file(name: str) -> Path:
     stem = check_name("demonstrations", name).removesuffix(".npz")
     return paths.demonstrations_dir() / f"{stem}.npz"
 
 
+def _packaged() -> dict[str, dict[str, Any]]:
+    return {n: about for n, about in _read(paths.clips_dir()).items() if not about["expert_run_id"]}
+
+
 def manifest() -> dict[str, dict[str, Any]]:
-    """Return what is said of all published demonstrations, by name; empty where there are none.
+    """Return what is said of all published demonstrations, and of those with the package, by name.
 
     Raises:
         SilemError: The manifest is damaged.
     """
-    path = paths.demonstrations_dir() / MANIFEST
+    return _packaged() | _read(paths.demonstrations_dir())
+
+
+def _read(folder: Path) -> dict[str, dict[str, Any]]:
+    path = folder / MANIFEST
     content = files.read_json(path) if path.exists() else {}
     if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
         raise SilemError(f"{path} is no manifest of demonstrations")
@@ -227,8 +244,8 @@ def publish(
     Returns:
         The file.
     """
-    path = file_of(name)
-    content = manifest()
+    path = _own_file(name)
+    content = _read(path.parent)
     demonstrations.save(path)
     returns = demonstrations.returns
     content[path.stem] = {
