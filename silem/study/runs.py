@@ -150,6 +150,8 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     task = task_options(config)
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
+    if demonstrations is not None:
+        source["expert_run_id"] = demonstrations.expert_run_id
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.spent)
 
