@@ -13,7 +13,7 @@ import pandas as pd
 from pandas.io.formats.style import Styler
 
 from silem import bodies, paper
-from silem.bodies.describe import describe
+from silem.bodies import describe
 from silem.report import results, style
 from silem.report.features import feature_names
 

@@ -22,7 +22,7 @@ from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
 from silem.study.settings import check_counts
-from silem.study.training import PROGRESS, Segments, make_env, make_model, train
+from silem.study.training import PROGRESS, Segments, make_env, make_model, task_options, train
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
 
@@ -147,7 +147,8 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
         env.close()
     training = _training(config, segments)
     scorer = model if isinstance(model, GAIfO) else None
-    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress)
+    task = task_options(config)
+    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.spent)

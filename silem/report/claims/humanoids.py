@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from silem import paper
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.motion.features import FEATURES
 from silem.report import results
 from silem.report.claims.rules import MARGIN, Claim, Find, Finding, exceeds, mean, name, within
