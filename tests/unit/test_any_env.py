@@ -7,6 +7,7 @@ import pytest
 
 from silem import bodies
 from silem.motion.demonstrations import Demonstrations, file_of
+from silem.study import verify
 from silem.study.config import RunConfig
 from silem.study.runs import run
 from silem.util.errors import SilemError
@@ -33,6 +34,7 @@ def test_an_imitator_on_pendulum_is_recorded_and_found_again(data: Path) -> None
     again = run(RunConfig.create("Pendulum-v1", "silem", "swing", **SMALL), False, force=True)
     assert again.evaluation["returns"] == record.evaluation["returns"]  # bit for bit
     assert again.files == record.files
+    assert verify.verify(record.folder).outcome == verify.EXACT
 
 
 def test_random_actions_fit_the_environment(data: Path) -> None:
