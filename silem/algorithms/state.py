@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch as th
@@ -88,16 +89,21 @@ def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray])
             raise SilemError(f"saved state: {name} holds NaN or infinity")
 
 
+def bounds(space: spaces.Space[Any]) -> dict[str, str]:
+    """Return what a policy's file says of the actions' bounds; nothing where there are none."""
+    if not isinstance(space, spaces.Box):
+        return {}
+    low, high = (" ".join(map(repr, x.ravel().tolist())) for x in (space.low, space.high))
+    return {"low": low, "high": high}
+
+
 def export_policy(policy: object, path: Path) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
     try:
         assert type(policy) is ActorCriticPolicy
         assert policy.share_features_extractor and not policy.use_sde
         space = policy.action_space
-        about = {"activation": policy.activation_fn.__name__}
-        if isinstance(space, spaces.Box):
-            low, high = (" ".join(map(repr, x.ravel().tolist())) for x in (space.low, space.high))
-            about |= {"low": low, "high": high}
+        about = {"activation": policy.activation_fn.__name__} | bounds(space)
         arrays = collect({"policy": policy}, {})
         again = _rebuilt(arrays, about)
         assert again.action_space.shape == space.shape
@@ -124,7 +130,7 @@ def load_policy(path: Path | str) -> ActorCriticPolicy:
     """
     arrays, about = files.read_tensors(Path(path))
     try:
-        return _rebuilt(arrays, about if "activation" in about else _OF_A_RUN)
+        return _rebuilt(arrays, _OF_A_RUN | about)
     except (LookupError, ValueError) as error:
         raise SilemError(f"{path} holds no policy: {error}") from error
 

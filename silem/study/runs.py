@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box
 
 from silem import bodies
 from silem.algorithms import PPO, SILEM, GAIfO
 from silem.algorithms.networks import AffineTransform
+from silem.algorithms.state import bounds
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
@@ -173,7 +175,11 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
     files.write_text(folder / CURVE, curve.to_csv(values))
-    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
+    about = {"run_id": run_id}
+    space = model.action_space
+    if isinstance(space, Box) and np.isfinite(space.low).all() and (abs(space.low) != 1).any():
+        about |= bounds(space)  # of other environments: the bodies' own are -1 and 1
+    files.write_tensors(folder / POLICY, model.policy_arrays(), about)
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
         transform = model.transform_net
         arrays = {"A": transform.scale, "b": transform.offset}

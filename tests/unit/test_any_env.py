@@ -34,7 +34,8 @@ def test_an_imitator_on_pendulum_is_recorded_and_found_again(data: Path) -> None
     again = run(RunConfig.create("Pendulum-v1", "silem", "swing", **SMALL), False, force=True)
     assert again.evaluation["returns"] == record.evaluation["returns"]  # bit for bit
     assert again.files == record.files
-    assert verify.verify(record.folder).outcome == verify.EXACT
+    verdict = verify.verify(record.folder)
+    assert verdict.outcome == verify.EXACT, verdict
 
 
 def test_random_actions_fit_the_environment(data: Path) -> None:
