@@ -195,10 +195,18 @@ def entry(name: str) -> dict[str, Any]:
 def is_published(name: str) -> bool:
     """Return whether the file is there and the one that the manifest describes.
 
-    Whoever was killed between writing the one and the other left them apart.
+    Whoever was killed between writing the one and the other left them apart. A person's own file,
+    which no expert made and the manifest does not name, stands for itself.
+
+    Raises:
+        SilemError: The manifest is damaged, or a file that it does not name.
     """
     path = file_of(name)
-    return path.exists() and manifest().get(path.stem, {}).get("sha256") == files.sha256(path)
+    if not path.exists():
+        return False
+    if (about := manifest().get(path.stem)) is None:
+        return not Demonstrations.load(name).expert_run_id
+    return bool(about.get("sha256") == files.sha256(path))
 
 
 def load_published(name: str) -> tuple[Demonstrations, str]:
@@ -213,10 +221,11 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
             f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
             " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
         )
-    there, about = Demonstrations.load(name), entry(path.stem)
+    there = Demonstrations.load(name)
+    about = manifest().get(path.stem, {"body": there.body})
     if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
-    return there, str(about["sha256"])
+    return there, files.sha256(path)
 
 
 @contextmanager

@@ -43,6 +43,18 @@ def test_publishing_needs_no_returns(tmp_path: Path, monkeypatch: pytest.MonkeyP
         demos.entry("dance")
 
 
+def test_ones_own_file_needs_no_manifest_but_an_experts_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    path = demos.file_of("mine")
+    Demonstrations((FEATURES,)).save(path)
+    assert demos.load_published("mine")[1] == files.sha256(path)
+    Demonstrations((FEATURES,), (1.0,), "HC0", "an expert").save(path)
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json"):
+        demos.load_published("mine")
+
+
 FEATURES = np.arange(10, dtype=np.float32).reshape(5, 2)
 
 
