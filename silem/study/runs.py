@@ -175,7 +175,7 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
     files.write_text(folder / CURVE, curve.to_csv(values))
-    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
+    model.export_policy(folder / POLICY, run_id=run_id)
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
         transform = model.transform_net
         arrays = {"A": transform.scale, "b": transform.offset}
