@@ -11,13 +11,13 @@ from typing import Any
 from silem import bodies
 from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
 from silem.study import campaign, runs, studies
-from silem.study.config import BUDGETS, DEMONSTRATOR_SEED, RunConfig
-from silem.study.demonstrate import demonstrate
+from silem.study.config import RunConfig
+from silem.study.demonstrate import demonstrate, demonstrator, trial_name
 from silem.study.evaluate import evaluate
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
 from silem.util import paths
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError
 
 _EXAMPLES = """\
 examples:
@@ -67,8 +67,9 @@ def parser() -> argparse.ArgumentParser:
     command.set_defaults(command=_evaluate)
 
     command = commands.add_parser("demonstrations", help="record an expert's demonstrations")
-    command.add_argument("--body", help="record its expert's first trial, at --budget")
+    command.add_argument("--body", help="record its best expert, at --budget")
     command.add_argument("--budget", default="book", help="default: %(default)s")
+    command.add_argument("--trial", type=int, help="that trial's expert instead of the best")
     command.add_argument("--run", metavar="RUN_ID", help="record this run instead")
     command.add_argument("--trajectories", type=int, default=20, help="default: %(default)s")
     command.add_argument("--force", action="store_true", help="replace another expert's")
@@ -137,15 +138,22 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _demonstrations(options: argparse.Namespace) -> None:
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
-    run_id = options.run
-    if options.body:
-        budget = BUDGETS[choose("budget", options.budget, BUDGETS)]
-        expert = RunConfig.create(options.body, "ppo", None, budget, DEMONSTRATOR_SEED)
-        run_id = expert.run_id
+    name = None
+    if options.run:
+        record = _finished(options.run)
+    elif options.trial is None:
+        record = demonstrator(options.body, options.budget)
+    else:
+        expert = RunConfig.create(options.body, "ppo", None, options.budget, options.trial)
+        record = _finished(expert.run_id)
+        name = trial_name(record)
     path = demonstrate(
-        _finished(run_id), options.trajectories, force=options.force, progress=not options.quiet
+        record, options.trajectories, name=name, force=options.force, progress=not options.quiet
     )
-    print(f"{path}: {options.trajectories} trajectories of {run_id}")
+    print(
+        f"{path}: {options.trajectories} trajectories of {record.run_id}, return"
+        f" {record.evaluation['return_mean']:.0f}, {record.evaluation['speed_m_s']:.2f} m/s"
+    )
 
 
 def _render(options: argparse.Namespace) -> None:

@@ -19,8 +19,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from silem.motion.demonstrations import file_of
-from silem.study import runs
-from silem.study.config import DEMONSTRATOR_SEED, RunConfig
+from silem.study import demonstrate, runs
+from silem.study.config import RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
 from silem.study.studies import Cell, cells, study_configs
@@ -54,8 +54,8 @@ class Task:
 def plan(configs: Sequence[RunConfig]) -> list[Task]:
     """Return the commands that are still to be run, each after what it needs.
 
-    An imitator whose expert's demonstrations are not there yet waits for the expert's run (the
-    trial with seed `DEMONSTRATOR_SEED`) and for its recording.
+    An imitator whose demonstrations are not there yet waits for the experts that the demonstrator
+    is chosen from (see `demonstrate.demonstrator`) and for its recording.
 
     Raises:
         SilemError: Demonstrations are missing whose expert is neither finished nor among
@@ -83,17 +83,24 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
 
 def _recording(config: RunConfig, waiting: set[str]) -> Task:
     """Return the task that records the demonstrations that a run needs."""
-    body, budget = config.demonstrations, config.budget
+    name, budget = config.demonstrations, config.budget
+    body, trial = demonstrate.expert_of(name)
     runs.check_made_by_an_expert(body)
-    expert = RunConfig.create(body, "ppo", None, budget, DEMONSTRATOR_SEED, study=config.study)
-    if expert.run_id not in waiting and runs.find(expert.run_id) is None:
-        raise SilemError(
-            f"{config.run_id} needs demonstrations of {body}, and its expert {expert.run_id} is"
-            f" neither finished nor part of this campaign; first: {expert.command}"
-        )
-    arguments = ["demonstrations", "--quiet", "--run", expert.run_id]
-    folder = paths.runs_dir() / config.study / f"demonstrations_{body}"
-    return Task(f"demonstrations {body}", arguments, folder, {expert.run_id} & waiting)
+    needed = demonstrate.experts(body, budget.base_name)
+    if trial is not None:
+        needed = [expert for expert in needed if expert.seed == trial]
+    for expert in needed:
+        if expert.run_id not in waiting and runs.find(expert.run_id) is None:
+            raise SilemError(
+                f"{config.run_id} needs demonstrations {name}, and the expert {expert.run_id} is"
+                f" neither finished nor part of this campaign; first: {expert.command}"
+            )
+    arguments = ["demonstrations", "--quiet", "--body", body, "--budget", budget.base_name]
+    if trial is not None:
+        arguments += ["--trial", str(trial)]
+    folder = paths.runs_dir() / config.study / f"demonstrations_{name}"
+    needs = {expert.run_id for expert in needed} & waiting
+    return Task(f"demonstrations {name}", arguments, folder, needs)
 
 
 def campaign(

@@ -24,7 +24,6 @@ from silem.util.errors import SilemError, choose
 
 __all__ = [
     "BUDGETS",
-    "DEMONSTRATOR_SEED",
     "HUMAN",
     "IMITATORS",
     "METHODS",
@@ -39,9 +38,6 @@ __all__ = [
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
-
-DEMONSTRATOR_SEED = TRIAL_SEEDS[0]
-"""The trial of the expert whose policy is recorded as demonstrations."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from silem import bodies, paper
@@ -54,7 +55,9 @@ def demonstrations(body: str, method: str, family: str, wanted: str | None) -> s
             raise SilemError(f"silem-minus-own of {body} imitates {body}, not {wanted}")
         return body
     if family != "humanoid":
-        return choose("demonstrations", wanted or ORIGINAL_BODIES[family], bodies.names())
+        if wanted is not None:  # a body's demonstrator, or one trial's expert: "HC0_s3"
+            choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
+        return wanted or ORIGINAL_BODIES[family]
     if method == "peng20":
         chosen = wanted or retargeted(HUMAN, body)
         if not chosen.endswith(f"_on_{body}"):

@@ -38,15 +38,18 @@ class Policy(Protocol):
 
 
 class RandomPolicy:
-    """Acts uniformly at random in [-1, 1], the paper's lower mark in Figure 2.
+    """The untrained Gaussian policy N(0, std), the paper's lower mark in Figure 2.
+
+    Its actions are not clipped, so that the task charges them as they are, as PyBullet's does.
 
     Args:
         n_actions: A, the number of actuators.
         seed: The trial's seed.
+        std: Standard deviation of every action.
     """
 
-    def __init__(self, n_actions: int, seed: int) -> None:
-        self._n_actions, self._seed = n_actions, seed
+    def __init__(self, n_actions: int, seed: int, std: float = 1.0) -> None:
+        self._n_actions, self._seed, self._std = n_actions, seed, std
         self.reseed(0)
 
     def reseed(self, seed: int) -> None:
@@ -56,13 +59,13 @@ class RandomPolicy:
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, None]:
         """Return random actions (E, A), whatever the observations (E, O)."""
         size = (len(observation), self._n_actions)
-        return self._generator.uniform(-1.0, 1.0, size).astype(np.float32), None
+        return self._std * self._generator.standard_normal(size, dtype=np.float32), None
 
 
-def random_policy(body: Body | str, seed: int = 0) -> RandomPolicy:
+def random_policy(body: Body | str, seed: int = 0, std: float = 1.0) -> RandomPolicy:
     """Return the random policy of a body, for the trial of a seed."""
     found = bodies.get(body) if isinstance(body, str) else body
-    return RandomPolicy(found.action_size, seed)
+    return RandomPolicy(found.action_size, seed, std)
 
 
 @dataclass(frozen=True)

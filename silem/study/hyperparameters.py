@@ -17,7 +17,8 @@ from silem.util.errors import SilemError, choose
 METHODS = (
     "ppo", "random", "silem", "silem-minus", "silem-minus-own", "silem-mlp", "tpil", "peng20",
 )  # fmt: skip
-"""``ppo`` is an expert (true reward); ``random`` acts uniformly at random and is only evaluated;
+"""``ppo`` is an expert (true reward); ``random`` is the untrained Gaussian
+policy, whose raw actions the task charges, and is only evaluated;
 ``silem-minus-own`` is SILEM-minus from the learner's own body's expert; ``tpil`` is third-person
 imitation learning; ``peng20`` is SILEM-minus from demonstrations retargeted to the learner's body
 by inverse kinematics."""
@@ -88,6 +89,8 @@ class HyperParameters:
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0)  # C_g
     ankle_range_rad: float = _used_by(METHODS, 0.0, optional=True)  # a, of Atlas
     starts: str = _used_by(_POLICY, STARTS[0], optional=True)
+    # Of the random policy: standard deviation of its raw actions, as an untrained policy's is.
+    action_std: float = _used_by(("random",), 1.0)
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):

@@ -17,7 +17,7 @@ def load_policy(record: RunRecord) -> Policy:
     """
     config = record.run_config()
     if config.method == "random":
-        return random_policy(config.learner, config.seed)
+        return random_policy(config.learner, config.seed, config.hyper.action_std)
     arrays, _ = files.read_tensors(record.file(POLICY))
     env = make_vec(config.learner, n_envs=1)
     try:

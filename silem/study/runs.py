@@ -118,7 +118,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     source = provenance()
     n_episodes = config.budget.n_eval_episodes
     if config.method == "random":
-        policy = random_policy(config.learner, config.seed)
+        policy = random_policy(config.learner, config.seed, config.hyper.action_std)
         result = evaluate(policy, config.learner, n_episodes, progress=progress)
         training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
         wall_time_s = time.perf_counter() - began
