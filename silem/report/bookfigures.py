@@ -1,6 +1,6 @@
-"""The figures that stand as files in the book and the README.
+"""The figures that stand as files in the book and the README, and the texts generated beside them.
 
-``python -m silem.report.bookfigures``, or ``make figures``, redraws them from the committed
+``python -m silem.report.bookfigures``, or ``make figures``, makes them anew from the committed
 records. The same records give the same bytes.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from silem.report import diagram, figures, results, style
+from silem.report import diagram, figures, glance, results, style
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -45,9 +45,9 @@ def draw(folder: Path = FOLDER) -> list[Path]:
 
 
 def main() -> int:
-    """Redraw the figures; return the exit status."""
+    """Redraw the figures and rewrite the texts; return the exit status."""
     try:
-        for path in draw():
+        for path in (*draw(), *glance.write()):
             print(path.relative_to(REPO))
     except SilemError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -16,6 +16,8 @@ from silem import bodies, paper
 from silem.bodies.describe import describe
 from silem.report import results, style
 from silem.report.features import feature_names
+from silem.study import statistics
+from silem.util import files, paths
 
 DASH = "–"
 _MOTORS_LISTED = 8
@@ -44,6 +46,33 @@ def table_1(frame: pd.DataFrame) -> Styler:
         )
     columns = pd.MultiIndex.from_tuples(list(rows[0]))
     return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
+
+
+def random_policies() -> Styler:
+    """Return what each reading of "a random policy" returns on HC0, beside the paper's number.
+
+    The returns were measured by ``python -m benchmarks.random_policy``.
+    """
+    rows = [{"a random policy": "the paper's", "return": number(paper.number("random_return"))}]
+    for entry in files.read_json(paths.REPO / "data" / "random_policy.json"):
+        returns = np.array(entry["returns"])
+        error = number(returns.std(ddof=1) / len(returns) ** 0.5)
+        text = f"{number(returns.mean())} ± {error}"
+        rows.append({"a random policy": html.escape(entry["reading"]), "return": text})
+    return styled(pd.DataFrame(rows))
+
+
+def coverages(counts: Sequence[int] = (2, 3, 5)) -> Styler:
+    """Return how often a 95 % interval of that many trials holds the true mean, by simulation."""
+    rows = []
+    for count in counts:
+        row = {"trials": str(count)}
+        for name, kind in (("Student's", "student"), ("bootstrap", "bootstrap")):
+            for failures, scores in ((False, "normal scores"), (True, "one in five fails")):
+                share = statistics.coverage(count, kind, failures=failures)
+                row[f"{name}, {scores}"] = f"{number(100 * share)} %"
+        rows.append(row)
+    return styled(pd.DataFrame(rows), "True coverage of a 95 % interval of the mean")
 
 
 def body_table(names: Sequence[str] | None = None) -> Styler:
@@ -105,6 +134,8 @@ def paper_table(key: str) -> Styler:
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and wall time.
 
+    The second score is against the body's best expert, who demonstrates, not against their mean.
+
     Runs of another number of iterations than planned stand in rows of their own.
 
     Args:
@@ -116,7 +147,8 @@ def cell_table(frame: pd.DataFrame) -> Styler:
             if not results.is_planned(frame, method, body):
                 continue
             label = style.method(method, results.original_body(frame)).label
-            rows.append(_cell_row(frame, body, label, results.cell(frame, method, body)))
+            best = results.against_best(frame, method, body)
+            rows.append(_cell_row(frame, body, label, results.cell(frame, method, body), best))
             for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
                 planned = runs["planned_iterations"].iloc[0]
                 words = f"{label}, {n:,} iterations (planned: {planned:,})"
@@ -124,7 +156,9 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     return styled(pd.DataFrame(rows))
 
 
-def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) -> dict[str, Any]:
+def _cell_row(
+    frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame, best: Sequence[float] = ()
+) -> dict[str, Any]:
     upright = results.upright_label(frame).removeprefix("share of ")
     return {
         "body": body,
@@ -132,6 +166,7 @@ def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) ->
         "trials": len(runs),
         "return": _mean_and_range(runs["return_mean"]),
         "score": _mean_and_range(runs["normalised"], digits=2),
+        "score, best expert": _mean(pd.Series(best), 2),
         "speed (m/s)": _mean(runs["speed_m_s"], 2),
         upright: _mean(100 * runs["upright"], 0, " %"),
         "discriminator reward": _mean(runs["disc_reward"], 0),

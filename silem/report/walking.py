@@ -14,7 +14,7 @@ from silem.bodies import MujocoBody
 from silem.envs.base import MAX_STEPS
 from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, style, tables
-from silem.report.claims.rules import MARGIN
+from silem.report.claims import MARGIN
 
 WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
 STANDS, FALLS = "stands", "falls"

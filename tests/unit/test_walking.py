@@ -12,8 +12,8 @@ import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
 from silem.report import results, style, tables, walking, walking_video
-from silem.report.claims.rules import MARGIN
-from silem.report.figures.compared import compared_curves
+from silem.report.claims import MARGIN
+from silem.report.figures import compared_curves
 from silem.report.video import Clip
 from silem.study.config import RunConfig
 from silem.study.studies import cells

@@ -76,7 +76,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
                 speed = DEMONSTRATOR_SPEED_M_S
                 axes.axhline(speed, color=style.INK, lw=1.5, ls=_DEMONSTRATOR)
         figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
-        note = "hollow: one trial, so no range"
+        note = cells.interval_note(frame, COMPARED, "return_mean")
         if frame["stand_in"].any():
             note += (
                 "; ×: a run of another number of iterations, written below it; outside every mean"
