@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from silem.study.config import BUDGETS, METHODS, Budget, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS, METHODS, Budget
 from silem.util import files
 from silem.util.errors import SilemError, choose
 

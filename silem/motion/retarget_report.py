@@ -17,7 +17,7 @@ from silem.motion.demonstrations import Demonstrations
 from silem.motion.inverse_kinematics import SOLVER
 from silem.motion.retarget import TOLERANCE_M, IKResult, retarget_clip
 from silem.motion.targets import SIDES, TARGETS, Limbs
-from silem.study.defaults import retargeted
+from silem.study.settings import retargeted
 
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
 

@@ -11,8 +11,9 @@ import pandas as pd
 
 from silem import bodies
 from silem.report.validation import validate
-from silem.study.config import BUDGETS, METHODS, TRIAL_SEEDS, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RECORD, RunRecord
+from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose

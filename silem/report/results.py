@@ -16,9 +16,9 @@ from silem import bodies
 from silem.motion.features import FEATURES
 from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
-from silem.study.config import BUDGETS, ORIGINAL_BODIES
 from silem.study.curve import COLUMNS as CURVE_COLUMNS
 from silem.study.record import CURVE, TRANSFORM, RunRecord
+from silem.study.settings import BUDGETS, FAMILIES
 from silem.study.studies import cells, seeds_of
 from silem.util import files
 from silem.util.errors import SilemError
@@ -122,7 +122,7 @@ def body_names(frame: pd.DataFrame) -> list[str]:
 
 def original_body(frame: pd.DataFrame) -> str:
     """Return the body whose expert demonstrates to the others, e.g. HC0; "" where a human does."""
-    demonstrator = ORIGINAL_BODIES.get(bodies.get(body_names(frame)[0]).family, "")
+    demonstrator = FAMILIES[bodies.get(body_names(frame)[0]).family].original
     return demonstrator if demonstrator in bodies.names() else ""
 
 

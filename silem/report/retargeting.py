@@ -23,7 +23,8 @@ from silem.motion.targets import (
     standing_feet,
     targets,
 )
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN, retargeted
 
 _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 

@@ -21,8 +21,7 @@ from sphinx.util.docutils import SphinxDirective, SphinxRole
 
 from silem import paper
 from silem.paper.types import PaperTable
-from silem.study.budgets import BUDGETS, Budget, of_family
-from silem.study.hyperparameters import METHODS, HyperParameters
+from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, of_family
 from silem.util.errors import SilemError
 
 Row = Sequence[str]

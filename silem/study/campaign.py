@@ -92,7 +92,7 @@ def _recording(config: RunConfig, waiting: set[str]) -> Task:
     for expert in needed:
         if expert.run_id not in waiting and runs.find(expert.run_id) is None:
             raise SilemError(
-                f"{config.run_id} needs demonstrations {name}, and the expert {expert.run_id} is"
+                f"{config.run_id} needs demonstrations of {name}, and the expert {expert.run_id} is"
                 f" neither finished nor part of this campaign; first: {expert.command}"
             )
     arguments = ["demonstrations", "--quiet", "--body", body, "--budget", budget.base_name]

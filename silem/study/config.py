@@ -16,25 +16,9 @@ from typing import Any
 
 from silem import bodies
 from silem.bodies import Body, atlas
-from silem.study import defaults
-from silem.study.budgets import BUDGETS, Budget, of_family
-from silem.study.defaults import HUMAN, ORIGINAL_BODIES, retargeted
-from silem.study.hyperparameters import IMITATORS, METHODS, TRANSFORMS, HyperParameters
+from silem.study import settings
+from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
 from silem.util.errors import SilemError, choose
-
-__all__ = [
-    "BUDGETS",
-    "HUMAN",
-    "IMITATORS",
-    "METHODS",
-    "ORIGINAL_BODIES",
-    "TRANSFORMS",
-    "TRIAL_SEEDS",
-    "Budget",
-    "HyperParameters",
-    "RunConfig",
-    "retargeted",
-]
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
@@ -84,8 +68,7 @@ class RunConfig:
         choose("body", body, bodies.names())
         choose("method", method, METHODS)
         family = bodies.get(body).family
-        defaults.check_method(method, body, family)
-        demonstrations = defaults.demonstrations(body, method, family, demonstrations)
+        demonstrations = settings.demonstrations(body, method, demonstrations)
         if isinstance(budget, str):
             budget = BUDGETS[choose("budget", budget, BUDGETS)]
         budget = of_family(budget, family)
@@ -97,10 +80,10 @@ class RunConfig:
         used = HyperParameters.names_used_by(method)
         for name in hyper_overrides:
             choose(f"hyper-parameter of {method}", name, used)
-        values = defaults.hyper_parameters(body, method, family, demonstrations)
-        values = {name: value for name, value in values.items() if name in used}
+        resolved = settings.resolve(body, method, demonstrations)
+        values = {name: setting.value for name, setting in resolved.items()}
         hyper = HyperParameters(**(values | hyper_overrides))
-        defaults.check_ankle(body, hyper.ankle_range_rad)
+        settings.check_ankle(body, hyper.ankle_range_rad)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
         if method != "random" and steps % minibatch:
             raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
@@ -109,7 +92,16 @@ class RunConfig:
     @property
     def transform(self) -> str | None:
         """The state transformer's kind, or None where the method has none."""
-        return TRANSFORMS.get(self.method)
+        return METHODS[self.method].transform
+
+    def settings(self) -> dict[str, Setting]:
+        """Return every hyper-parameter in use with where it comes from."""
+        resolved = settings.resolve(self.body, self.method, self.demonstrations)
+        used = {name: getattr(self.hyper, name) for name in resolved}
+        return {
+            name: setting if setting.value == used[name] else Setting(used[name], "this run")
+            for name, setting in resolved.items()
+        }
 
     @property
     def learner(self) -> Body:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 from silem.motion import demonstrations as demos
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, Budget, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.study.settings import Budget
 from silem.util.errors import SilemError
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from silem.envs import make_vec
 from silem.study.evaluate import Policy, random_policy
 from silem.study.record import POLICY, RunRecord
-from silem.study.training import make_policy_model
+from silem.study.training import make_env, make_policy_model
 from silem.util import files
 
 
@@ -19,7 +18,7 @@ def load_policy(record: RunRecord) -> Policy:
     if config.method == "random":
         return random_policy(config.learner, config.seed, config.hyper.action_std)
     arrays, _ = files.read_tensors(record.file(POLICY))
-    env = make_vec(config.learner, n_envs=1)
+    env = make_env(config)
     try:
         model = make_policy_model(config, env)
     finally:

@@ -8,7 +8,8 @@ from typing import Any
 
 from silem import paper
 from silem.study import runs
-from silem.study.config import BUDGETS, TRIAL_SEEDS, Budget, RunConfig
+from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.settings import BUDGETS, Budget
 from silem.util.errors import SilemError, choose
 
 
@@ -16,7 +17,8 @@ from silem.util.errors import SilemError, choose
 class Cell:
     """One entry of a study's figures: a method on a body, from some expert, over all trials.
 
-    ``overrides`` are the hyper-parameters that differ from the supplement's best combination.
+    ``overrides`` are the hyper-parameters that differ from the supplement's best combination,
+    ``n_iterations`` what differs from the budget's.
     """
 
     study: str
@@ -24,9 +26,14 @@ class Cell:
     body: str
     demonstrations: str | None = None
     overrides: tuple[tuple[str, Any], ...] = ()
+    n_iterations: int | None = None
 
     def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
+        if isinstance(budget, str):
+            budget = BUDGETS[choose("budget", budget, BUDGETS)]
+        if self.n_iterations is not None and budget.is_evidence:
+            budget = BUDGETS[budget.base_name].with_iterations(self.n_iterations)
         return RunConfig.create(
             self.body, self.method, self.demonstrations, budget, seed,
             study=self.study, **dict(self.overrides),
@@ -56,6 +63,7 @@ _HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
 _FIGURE_2B, _FIGURE_3B, _NO_PENALTY = "halfcheetah", "humanoids", "no-gradient-penalty"
 _HUMANOIDS_NO_PENALTY = "humanoids-no-gradient-penalty"
 _STARTS, _DEMONSTRATORS, _SEARCH = "demonstration-starts", "demonstrators", "open-settings"
+_FIDELITY = "fidelity"
 # The paper gives PPO 8000 iterations on humanoids, with a learning rate of 1e-4 and a clip range of
 # 0.1. The book's budget is a fraction of that, so it takes the larger steps of the paper's other
 # bodies, for every method alike.
@@ -148,6 +156,18 @@ STUDIES = {
         ),
         TRIAL_SEEDS[:1],
         "each of HC0's five experts as the demonstrator",
+    ),
+    _FIDELITY: Study(
+        (
+            *(
+                Cell(_FIDELITY, "ppo", body, n_iterations=paper.common()["n_iterations"])
+                for body in ("HC1", "HC2")
+            ),
+            Cell(_FIDELITY, "ppo", "HC0", overrides=(("clip_actions", False),)),
+            Cell(_FIDELITY, "ppo", "HC0", overrides=(("anneal_clip", True),)),
+        ),
+        TRIAL_SEEDS[:1],
+        "experts at the paper's own number of iterations, and with what differs from ppo1",
     ),
     _SEARCH: Study(
         (*_search("silem", _SILEM_SEARCH), *_search("silem-minus", _SILEM_MINUS_SEARCH)),

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 from tqdm import tqdm
 
-from silem.algorithms.gaifo import AdversarialImitation
 from silem.algorithms.ppo import PPO
 from silem.algorithms.silem import SILEM
 from silem.algorithms.tpil import TPIL
@@ -22,27 +23,21 @@ from silem.envs.mujoco.simulator import body_of
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters, retargeted
 from silem.util import files, seeding
+from silem.util.errors import SilemError
 
 PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
-# What only imitators' constructors take, under the same names as in HyperParameters.
-_IMITATION_ARGUMENTS = (
-    "window",
-    "n_disc_updates",
-    "n_transform_updates",
-    "transform_lr_decay",
-    "transform_l2_scale",
-    "transform_l2_bias",
-    "transform_l2_form",
-    "disc_learning_rate",
-    "transform_learning_rate",
-    "disc_hidden",
-    "disc_entropy_coef",
-    "gradient_penalty",
-    "gradient_reversal_coef",
-)
+_ALGORITHMS = {"PPO": PPO, "SILEM": SILEM, "TPIL": TPIL, "GAIfO": SILEM}
+# What a run's hyper-parameters say of its policy, its data and its body; the others are arguments
+# of the algorithm, by the same names.
+_NOT_ITS_OWN = {
+    "learning_rate", "clip_range", "gamma", "gae_lambda", "n_epochs", "minibatch_size", "adam_eps",
+    "policy_hidden", "log_std_init", "anneal_clip", "clip_actions", "n_trajectories",
+    "ankle_range_rad", "starts",
+}  # fmt: skip
 
 
 def make_env(config: RunConfig) -> VecEnv:
@@ -55,14 +50,54 @@ def make_env(config: RunConfig) -> VecEnv:
         name = retargeted(HUMAN, config.body)
         options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
-    return make_vec(config.learner, config.budget.n_envs, seed, **options)
+    env = make_vec(config.learner, config.budget.n_envs, seed, **options)
+    if not config.hyper.clip_actions:  # a policy is clipped to its space, here to none
+        env.action_space = spaces.Box(-np.inf, np.inf, env.action_space.shape, np.float32)
+    return env
+
+
+def arguments(config: RunConfig) -> dict[str, Any]:
+    """Return what the algorithm of a run is built with, beside policy, environments and data.
+
+    PPO is that of OpenAI baselines' ppo1, the paper's: separate policy and value networks, linear
+    decay of the learning rate to 0, no gradient clipping, no entropy bonus.
+
+    Args:
+        config: The run; any method but ``random``.
+    """
+    used = HyperParameters.names_used_by(config.method)
+    own = {name: getattr(config.hyper, name) for name in used if name not in _NOT_ITS_OWN}
+    if METHODS[config.method].algorithm in ("SILEM", "GAIfO"):
+        own["transform"] = config.transform or "identity"
+    return own | _ppo_arguments(config)
+
+
+def settings(
+    body: str, method: str = "silem", *, budget: str | Budget = "book", seed: int = 0, **hyper: Any
+) -> dict[str, Any]:
+    """Return the settings of a cell as the arguments that its algorithm takes.
+
+    ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
+    trains: the paper's best combination where it prints one, this project's choice elsewhere.
+
+    Args:
+        body: The learner's body.
+        method: One of `METHODS` but ``random``.
+        budget: Whose number of steps per iteration and environments count.
+        seed: The run's root seed.
+        **hyper: Hyper-parameters to be changed.
+
+    Raises:
+        SilemError: As `RunConfig.create`; or the method learns nothing.
+    """
+    config = RunConfig.create(body, method, None, budget, seed, **hyper)
+    if not METHODS[method].algorithm:
+        raise SilemError(f"method {method!r} learns nothing, so it has no settings")
+    return arguments(config)
 
 
 def make_policy_model(config: RunConfig, env: VecEnv) -> PPO:
     """Build the untrained policy of a run as a plain PPO model, whatever its method.
-
-    PPO is that of OpenAI baselines' ppo1, the paper's: separate policy and value networks, linear
-    decay of the learning rate to 0, no gradient clipping, no entropy bonus.
 
     Args:
         config: The run; any method but ``random``.
@@ -79,29 +114,25 @@ def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | 
         env: The training environments.
         demonstrations: The expert's, at least as many as the run uses; None for an expert.
     """
+    make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
     if demonstrations is None:
-        return make_policy_model(config, env)
-    hyper = config.hyper
-    used = hyper.names_used_by(config.method)
-    own = {name: getattr(hyper, name) for name in _IMITATION_ARGUMENTS if name in used}
-    make: type[AdversarialImitation] = TPIL
-    if config.transform is not None:
-        make, own["transform"] = SILEM, config.transform
-    chosen = demonstrations.first(hyper.n_trajectories)
-    return make("MlpPolicy", env, chosen, **own, **_ppo_arguments(config))
+        return make("MlpPolicy", env, **arguments(config))
+    return make(
+        "MlpPolicy", env, demonstrations.first(config.hyper.n_trajectories), **arguments(config)
+    )
 
 
 def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
     hyper, budget = config.hyper, config.budget
     layers = list(hyper.policy_hidden)
     return dict(
-        learning_rate=lambda progress_remaining: hyper.learning_rate * progress_remaining,
+        learning_rate=_annealed(hyper.learning_rate),
         n_steps=budget.steps_per_iteration // budget.n_envs,
         batch_size=hyper.minibatch_size,
         n_epochs=hyper.n_epochs,
         gamma=hyper.gamma,
         gae_lambda=hyper.gae_lambda,
-        clip_range=hyper.clip_range,
+        clip_range=_annealed(hyper.clip_range) if hyper.anneal_clip else hyper.clip_range,
         normalize_advantage=True,
         ent_coef=0.0,
         vf_coef=0.5,
@@ -116,6 +147,11 @@ def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
         device="cpu",
         verbose=0,
     )
+
+
+def _annealed(start: float) -> Callable[[float], float]:
+    """Return a schedule that falls linearly from its start to 0."""
+    return lambda progress_remaining: start * progress_remaining
 
 
 class Segments(BaseCallback):

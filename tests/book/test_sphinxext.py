@@ -8,7 +8,7 @@ from docutils.parsers.rst import roles
 
 from silem import paper
 from silem.report import sphinxext
-from silem.study.hyperparameters import HyperParameters
+from silem.study.settings import HyperParameters
 
 
 @pytest.mark.parametrize(

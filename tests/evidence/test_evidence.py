@@ -15,8 +15,9 @@ from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import figures, results
 from silem.report.validation import validate
-from silem.study.config import DEMONSTRATOR_SEED, HUMAN, TRIAL_SEEDS
+from silem.study.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.study.settings import HUMAN
 from silem.util import files, paths
 
 DATA = paths.REPO / "data"

@@ -25,7 +25,7 @@ from silem.motion.retarget_report import (
 )
 from silem.motion.soles import Soles
 from silem.motion.targets import STANCE_SPEED_M_S, TARGETS, Limbs, standing_feet, targets
-from silem.study.defaults import HUMAN, retargeted
+from silem.study.settings import HUMAN, retargeted
 from silem.util.errors import SilemError
 
 LEFT_HAND = TARGETS.index("left_hand")

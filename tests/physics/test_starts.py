@@ -16,7 +16,8 @@ from silem.motion.demonstrations import Demonstrations
 from silem.motion.retarget_report import BODIES, learner, published_retargeting
 from silem.motion.soles import Soles
 from silem.motion.starts import demonstration_states
-from silem.study.config import HUMAN, RunConfig, retargeted
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN, retargeted
 from silem.study.training import make_env
 from silem.util import paths
 from silem.util.errors import SilemError

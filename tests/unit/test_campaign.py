@@ -13,7 +13,8 @@ import pytest
 
 from silem.motion import demonstrations
 from silem.study import campaign, runs
-from silem.study.config import BUDGETS, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS
 from silem.study.studies import cells, study_configs
 from silem.util import files, paths
 from silem.util.errors import SilemError

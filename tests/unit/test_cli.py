@@ -12,7 +12,8 @@ import pytest
 from silem import bodies
 from silem.__main__ import main
 from silem.study import runs
-from silem.study.config import BUDGETS, RunConfig
+from silem.study.config import RunConfig
+from silem.study.settings import BUDGETS
 from silem.util import files, paths
 
 
@@ -33,7 +34,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set gama=0.9", "unknown hyper-parameter of ppo 'gama'"),
         ("run --body HC0 --method silem --quiet", "python -m silem demonstrations --body HC0"),
         ("run --config nowhere.json", "cannot read nowhere.json"),
-        ("campaign --trials 9", "trials must be 1 to 5"),
+        ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
         ("campaign --workers 0 --method random", "workers must be 1 or more"),
         ("campaign --method silem --budget tiny", "needs demonstrations of HC0"),
         ("campaign --body HC9", "unknown body 'HC9'"),
@@ -41,7 +42,10 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("evaluate ppo_HC0", "no finished run 'ppo_HC0'"),
         ("render ppo_HC0 --out x.mp4", "no finished run"),
         ("demonstrations", "needs either --body or --run"),
-        ("demonstrations --body HC0 --budget tiny", "no finished run"),
+        (
+            "demonstrations --body HC0 --budget tiny",
+            "are not finished; next: python -m silem run --body HC0",
+        ),
     ],
 )
 def test_a_bad_request_is_one_line_and_exit_code_2(

@@ -19,11 +19,12 @@ from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve, runs, training
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
-from silem.study.config import Budget, RunConfig
+from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import evaluate, random_policy
 from silem.study.policies import load_policy
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.study.settings import Budget
 from silem.util import files, paths, seeding
 from silem.util.errors import SilemError
 

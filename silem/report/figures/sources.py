@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from silem.report import results, style
-from silem.study.config import METHODS
+from silem.study.settings import METHODS
 from silem.util.errors import SilemError, choose
 
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")

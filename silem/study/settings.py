@@ -1,0 +1,445 @@
+"""What a run is made of: methods, hyper-parameters and budgets, and where each value comes from.
+
+The paper's tables come first (`silem.paper`), then what it leaves open: per family of bodies in
+`FAMILIES`, for all in the defaults of `HyperParameters`. `resolve` puts them together for one cell;
+runs, `silem.settings`, ``silem show`` and the book's tables all read that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from silem import bodies, paper
+from silem.util.errors import SilemError, choose
+
+HUMAN = "cmu_08_01"
+"""The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
+
+STARTS = ("standing", "demonstration")
+"""What episodes of a humanoid start from: the standing pose with small noise, or states of the
+demonstration retargeted to the learner's body (off by default: the paper argues against needing
+them)."""
+
+
+# ---------------------------------------------------------------- methods
+
+
+@dataclass(frozen=True)
+class Method:
+    """One way to make a policy.
+
+    Attributes:
+        about: What it is, for tables.
+        algorithm: The class in `silem.algorithms` that learns, or "" where nothing does.
+        transform: SILEM's state transformer, or None.
+        source: Whose demonstrations it learns from: the "original" body's expert (or the human),
+            the learner's "own" expert, the human's clip "retargeted" to the learner, or "".
+    """
+
+    about: str
+    algorithm: str = ""
+    transform: str | None = None
+    source: str = ""
+
+
+METHODS = {
+    "ppo": Method("an expert: PPO with the true reward", "PPO"),
+    "random": Method("the untrained Gaussian policy, whose raw actions the task charges"),
+    "silem": Method("SILEM", "SILEM", "affine", "original"),
+    "silem-minus": Method("SILEM without the transform", "GAIfO", None, "original"),
+    "silem-minus-own": Method("SILEM-minus from the own body's expert", "GAIfO", None, "own"),
+    "silem-mlp": Method("SILEM with an MLP as transform (Table 1)", "SILEM", "mlp", "original"),
+    "tpil": Method("third-person imitation learning", "TPIL", None, "original"),
+    "peng20": Method("SILEM-minus from retargeted demonstrations", "GAIfO", None, "retargeted"),
+}
+"""Every method by name."""
+
+IMITATORS = tuple(name for name, method in METHODS.items() if method.source)
+"""The methods that learn from demonstrations."""
+
+_LEARNERS = tuple(name for name, method in METHODS.items() if method.algorithm)
+_TRANSFORMED = tuple(name for name, method in METHODS.items() if method.transform)
+
+
+# ---------------------------------------------------------------- hyper-parameters
+
+
+def _used_by(
+    methods: Iterable[str],
+    default: Any,
+    source: str = "",
+    *,
+    optional: bool = False,
+    **allowed: Any,
+) -> Any:
+    """Declare a hyper-parameter.
+
+    Args:
+        methods: Who uses it.
+        default: Its value where no table of the paper and no family says another.
+        source: Where the default comes from; "" means that the paper leaves it open.
+        optional: At its default it is no part of a run's identity.
+        **allowed: ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``.
+    """
+    metadata = {"methods": tuple(methods), "optional": optional, "source": source, **allowed}
+    return field(default=default, metadata=metadata)
+
+
+_PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
+_BEST = paper.best_combination("HC0", "silem", "HC0")
+_COMMON, _TEXT = "supplement, common settings for PPO", "supplement, text"
+_ROW = "supplement, SILEM's best combination for HC0"
+
+
+@dataclass(frozen=True)
+class HyperParameters:
+    """Every hyper-parameter of learning; a method uses some of them (see `names_used_by`).
+
+    Raises:
+        SilemError: A value of another type, or out of range.
+    """
+
+    # The learning rate falls linearly to 0.
+    learning_rate: float = _used_by(_LEARNERS, _PPO["learning_rate"], _COMMON)
+    clip_range: float = _used_by(_LEARNERS, _PPO["clip_range"], _COMMON)
+    gamma: float = _used_by(_LEARNERS, _PPO["gamma"], _COMMON, most=1.0)
+    gae_lambda: float = _used_by(_LEARNERS, _PPO["gae_lambda"], _COMMON, most=1.0)
+    n_epochs: int = _used_by(_LEARNERS, _PPO["n_epochs"], _COMMON)  # N_P
+    minibatch_size: int = _used_by(_LEARNERS, _PPO["minibatch_size"], _COMMON)  # N_Pmb
+    adam_eps: float = _used_by(_LEARNERS, 1e-5, "OpenAI baselines, as the supplement says")
+    policy_hidden: tuple[int, ...] = _used_by(
+        _LEARNERS, tuple(paper.number("policy_hidden")), _TEXT
+    )
+    # logarithm of the policy's standard deviation at the start
+    log_std_init: float = _used_by(_LEARNERS, 0.0, optional=True, signed=True)
+    # how the rollout treats PPO's own choices, see "Deviations"
+    anneal_clip: bool = _used_by(_LEARNERS, False, optional=True)
+    clip_actions: bool = _used_by(_LEARNERS, True, optional=True)
+    disc_hidden: tuple[int, ...] = _used_by(IMITATORS, tuple(paper.number("disc_hidden")), _TEXT)
+    window: int = _used_by(IMITATORS, paper.number("window"), _TEXT)  # states per window
+    n_trajectories: int = _used_by(IMITATORS, _BEST["n_trajectories"], _ROW)  # n
+    n_disc_updates: int = _used_by(IMITATORS, _BEST["n_disc_updates"], _ROW)  # N_D
+    n_transform_updates: int = _used_by(_TRANSFORMED, _BEST["n_transform_updates"], _ROW)  # N_G
+    transform_lr_decay: float = _used_by(
+        _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, most=1.0
+    )  # d
+    disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
+    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-4)
+    disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", zero=True)
+    gradient_penalty: float = _used_by(IMITATORS, 1.0, zero=True)  # 0 switches it off
+    # Of the humanoids alone; 0 where they do not apply.
+    transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_d
+    transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_b
+    transform_l2_form: str = _used_by(
+        ("silem",), "deviation", optional=True, choices=("deviation", "plain")
+    )
+    gradient_reversal_coef: float = _used_by(("tpil",), 1.0, zero=True)  # C_g
+    ankle_range_rad: float = _used_by(METHODS, 0.0, optional=True, zero=True)  # a, of Atlas
+    starts: str = _used_by(_LEARNERS, STARTS[0], optional=True, choices=STARTS)
+    # Of the random policy: standard deviation of its raw actions, as an untrained policy's is.
+    action_std: float = _used_by(("random",), 1.0)
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            object.__setattr__(self, item.name, _checked(item, getattr(self, item.name)))
+
+    @staticmethod
+    def names_used_by(method: str) -> list[str]:
+        """Return the names of the hyper-parameters that a method uses, in the class's order."""
+        return [
+            item.name
+            for item in dataclasses.fields(HyperParameters)
+            if method in item.metadata["methods"]
+        ]
+
+    def of_method(self, method: str) -> dict[str, Any]:
+        """Return what identifies a run of a method: the values it uses, by name.
+
+        Optional hyper-parameters are left out at their defaults.
+        """
+        used = {name: getattr(self, name) for name in self.names_used_by(method)}
+        fields = {item.name: item for item in dataclasses.fields(self)}
+        return {
+            name: value
+            for name, value in used.items()
+            if not (fields[name].metadata["optional"] and value == fields[name].default)
+        }
+
+
+def check_positive_int(name: str, value: Any) -> None:
+    """Raise SilemError unless a value is a whole number above 0."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise SilemError(f"{name} must be a positive whole number, not {value!r}")
+
+
+def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
+    """Return a hyper-parameter's value in its field's type, or raise SilemError."""
+    name, default, rule = item.name, item.default, item.metadata
+    if "choices" in rule:
+        return choose(name, value, rule["choices"])
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise SilemError(f"{name} must be True or False, not {value!r}")
+        return value
+    if isinstance(default, tuple):
+        if not isinstance(value, list | tuple) or not value:
+            raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
+        for size in value:
+            check_positive_int(f"each size in {name}", size)
+        return tuple(value)
+    if isinstance(default, int):
+        check_positive_int(name, value)
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise SilemError(f"{name} must be a number, not {value!r}")
+    enough = "signed" in rule or value > 0 or (value == 0 and "zero" in rule)
+    if not enough or not value <= rule.get("most", value) or abs(value) == float("inf"):
+        raise SilemError(f"{name} is out of range: {value!r}")
+    return float(value)
+
+
+# ---------------------------------------------------------------- budgets
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much a run may spend. Changes counts, nothing else."""
+
+    name: str
+    n_envs: int
+    steps_per_iteration: int  # all environments together
+    n_iterations: int
+    n_trials: int
+    n_eval_episodes: int
+    checkpoint_every: int  # iterations; episodes start anew at every checkpoint
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            if item.name != "name":
+                check_positive_int(f"budget {item.name}", getattr(self, item.name))
+        if self.steps_per_iteration % self.n_envs:
+            raise SilemError(
+                f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
+                f" divide among {self.n_envs} environments"
+            )
+
+    @property
+    def n_steps(self) -> int:
+        """Environment steps of the whole training."""
+        return self.n_iterations * self.steps_per_iteration
+
+    @property
+    def is_evidence(self) -> bool:
+        """Whether finished runs are published to the committed results."""
+        return self.base_name in ("book", "paper")
+
+    @property
+    def base_name(self) -> str:
+        """Name of the budget that this one is, or that it has other iterations than."""
+        return self.name.partition("-")[0]
+
+    def with_iterations(self, n_iterations: int) -> Budget:
+        """Return this budget with another number of iterations, and a name that says so."""
+        return dataclasses.replace(
+            self, name=f"{self.name}-{n_iterations}", n_iterations=n_iterations
+        )
+
+
+_STEPS, _TRIALS = _PPO["steps_per_iteration"], paper.number("n_trials")
+_PAPER_EPISODES = paper.number("n_eval_episodes")
+BUDGETS = {
+    budget.name: budget
+    for budget in (
+        # seconds: tests, and the notebooks' defaults
+        Budget("tiny", 2, 256, 4, 1, 2, 2),
+        # minutes: to see it learn
+        Budget("quick", 8, _STEPS, 60, 1, 10, 20),
+        # the committed evidence: at 800 iterations the last experts of HC1 have settled
+        Budget("book", 8, _STEPS, 800, _TRIALS, 100, 25),
+        Budget("paper", 8, _STEPS, _PPO["n_iterations"], _TRIALS, _PAPER_EPISODES, 25),
+    )
+}
+
+
+# ---------------------------------------------------------------- families of bodies
+
+
+class Setting(NamedTuple):
+    """One value and where it comes from."""
+
+    value: Any
+    source: str
+
+
+@dataclass(frozen=True)
+class FamilySettings:
+    """What the study takes for a family of bodies.
+
+    Attributes:
+        original: The demonstrations that its bodies learn from: a body's expert or a clip.
+        stand_in: The body whose best combinations one takes that the paper does not know.
+        chosen: Values that the paper leaves open and the family needs, or prints for it alone.
+        budgets: What a budget counts differently.
+    """
+
+    original: str
+    stand_in: str
+    chosen: Mapping[str, Setting] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+
+
+_MUJOCO = paper.common("humanoid")
+_BATCH = {"n_envs": 16, "steps_per_iteration": _MUJOCO["steps_per_iteration"]}
+FAMILIES = {
+    "halfcheetah": FamilySettings("HC0", "HC0"),
+    "ant": FamilySettings("Ant0", "HC0"),
+    "humanoid": FamilySettings(
+        HUMAN,
+        "Humanoid",
+        {
+            "policy_hidden": Setting(tuple(paper.number("humanoid_policy_hidden")), _TEXT),
+            "disc_hidden": Setting(tuple(paper.number("humanoid_disc_hidden")), _TEXT),
+            "n_trajectories": Setting(1, "one clip"),
+            "log_std_init": Setting(
+                -1.6, "open: torques that shake with deviation 1 throw a humanoid over"
+            ),
+            "gradient_penalty": Setting(
+                0.1, "open: with 1, D is so smooth that standing earns a third of the reward"
+            ),
+            "transform_learning_rate": Setting(
+                1e-3, "open: T makes one or two steps an iteration here"
+            ),
+            "n_transform_updates": Setting(
+                paper.grid_values("tab4_h")["N_G"][0], "supplement, the grid's one value"
+            ),
+            "transform_lr_decay": Setting(1.0, "supplement: Atlas's grid has no decay"),
+        },
+        {
+            "quick": _BATCH,
+            "book": _BATCH | {"n_iterations": 2000},
+            "paper": _BATCH | {"n_iterations": _MUJOCO["n_iterations"]},
+        },
+    ),
+}
+"""What is chosen for each family of bodies; other families take HalfCheetah's."""
+
+
+def of_family(budget: Budget, family: str) -> Budget:
+    """Return a budget with the counts it has on a family, the same for every body and method.
+
+    A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
+    stays as it is.
+    """
+    base = BUDGETS.get(budget.base_name)
+    if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
+        return budget
+    counts: dict[str, Any] = dict(_family(family).budgets.get(base.name, {}))
+    if budget != base:
+        counts.pop("n_iterations", None)
+    return dataclasses.replace(budget, **counts)
+
+
+def _family(name: str) -> FamilySettings:
+    return FAMILIES.get(name, FAMILIES["halfcheetah"])
+
+
+# ---------------------------------------------------------------- one cell
+
+
+def retargeted(demonstrations: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    return f"{demonstrations}_on_{body}"
+
+
+def demonstrations(body: str, method: str, wanted: str | None) -> str:
+    """Return the name of the demonstrations of one cell: those wanted, or the paper's.
+
+    Raises:
+        SilemError: The method does not learn from those wanted.
+    """
+    source, original = METHODS[method].source, _family(bodies.get(body).family).original
+    if not source:
+        if wanted:
+            raise SilemError(f"method {method!r} uses no demonstrations")
+        return ""
+    if source == "own":
+        if wanted not in (None, body):
+            raise SilemError(f"{method} of {body} imitates {body}, not {wanted}")
+        return body
+    if source == "retargeted":
+        if wanted is None and original in bodies.names():
+            raise SilemError(f"method {method!r} is not for {body}: no clip is retargeted to it")
+        chosen = wanted or retargeted(original, body)
+        if not chosen.endswith(f"_on_{body}"):
+            raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
+        return chosen
+    if wanted and original in bodies.names():  # a body's demonstrator, or one trial: "HC0_s3"
+        choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
+    return wanted or original
+
+
+def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
+    """Return every hyper-parameter of one cell with where it comes from, the study apart.
+
+    The later overrules the earlier: the defaults, what is chosen for the family, the paper's
+    common table of the family, the paper's best combination of the cell.
+
+    Args:
+        body: The learner's body.
+        method: One of `METHODS`.
+        source: The demonstrations' name.
+
+    Returns:
+        Settings by name, only those that the method uses, in the order of `HyperParameters`.
+    """
+    family = bodies.get(body).family
+    used = {
+        item.name: Setting(item.default, item.metadata["source"] or "open: this project's default")
+        for item in dataclasses.fields(HyperParameters)
+        if method in item.metadata["methods"]
+    }
+    found = dict(_family(family).chosen)
+    if family in FAMILIES:
+        found |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
+    found |= _best(body, method, source, _family(family).stand_in)
+    return used | {name: setting for name, setting in found.items() if name in used}
+
+
+def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
+    """Return the supplement's best combination of a cell, or of what stands in for it.
+
+    An expert takes SILEM's, as far as it uses it: of the humanoids' PPO the common table leaves
+    the number of epochs out.
+    """
+    if not METHODS[method].algorithm:
+        return _ankle(body, "silem")
+    wanted = method
+    if method == "ppo":
+        if _family(bodies.get(body).family).original in bodies.names():
+            return {}
+        wanted = "silem"
+    known = body if paper.best_table(body, wanted) else stand_in
+    if not paper.best_table(known, wanted) and METHODS[method].source:
+        wanted, known = "silem", body if paper.best_table(body, "silem") else stand_in
+    table = paper.best_table(known, wanted)
+    label = f"supplement, {table.label}, {known}" if table else ""
+    values = paper.best_combination(known, wanted, source if known == body else "")
+    return _ankle(body, "silem") | {name: Setting(value, label) for name, value in values.items()}
+
+
+def _ankle(body: str, method: str) -> dict[str, Setting]:
+    """Return Atlas's ankle range, which its best combinations name and its model needs."""
+    if body != "Atlas":
+        return {}
+    value = min(paper.grid_values("tab42_h")["a"])
+    return {"ankle_range_rad": Setting(value, "supplement, the grid's smaller value")}
+
+
+def check_ankle(body: str, ankle_range_rad: float) -> None:
+    """Refuse an ankle range on a body without, or none on Atlas; raises SilemError."""
+    if (body == "Atlas") != (ankle_range_rad > 0):
+        raise SilemError(f"ankle_range_rad {ankle_range_rad:g} on {body}: it is Atlas's alone")
