@@ -1,7 +1,7 @@
 """What "a random policy" returns on HC0, read in every way that its words allow.
 
-The paper gives one number and does not say how its policy acts. `python -m benchmarks.random_policy`
-measures the readings, about two minutes, and writes ``data/random_policy.json``.
+The paper gives one number and does not say how its policy acts. It takes about a minute for
+`python -m benchmarks.random_policy` to measure the readings and write ``data/random_policy.json``.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ READINGS: dict[str, Draw] = {
     "untrained Gaussian policy, N(0, 1); the raw action is charged": lambda rng, shape: (
         rng.standard_normal(shape)
     ),
-    "the same, clipped to ±1 before it is charged": lambda rng, shape: (
-        rng.standard_normal(shape).clip(-1, 1)
-    ),
+    "the same, clipped to ±1 before it is charged": lambda rng, shape: rng.standard_normal(
+        shape
+    ).clip(-1, 1),
     "uniform in ±1": lambda rng, shape: rng.uniform(-1, 1, shape),
     "no action: all motors at zero": lambda rng, shape: np.zeros(shape),
 }
@@ -49,10 +49,11 @@ class _Reading:
 
 def measure(n_episodes: int = N_EPISODES) -> list[dict[str, Any]]:
     """Return each reading with the returns of its episodes; the same numbers on every call."""
-    return [
-        {"reading": name, "body": BODY, "returns": evaluate(_Reading(draw), BODY, n_episodes).returns}
-        for name, draw in READINGS.items()
-    ]  # fmt: skip
+    measured = []
+    for name, draw in READINGS.items():
+        returns = evaluate(_Reading(draw), BODY, n_episodes).returns
+        measured.append({"reading": name, "body": BODY, "returns": returns})
+    return measured
 
 
 if __name__ == "__main__":

@@ -21,34 +21,23 @@ from silem.study import statistics
 from silem.study.statistics import NO_INTERVAL, Interval
 from silem.util.errors import choose
 
-MIN_TRIALS = 3
-"""Trials that every cell of a claim needs for a verdict."""
-
-MARGIN = 0.1
-"""Two levels agree within this share of their scale: for returns of the paper's span from its
-random policy to its expert (humanoids: of the highest possible return), for discriminator rewards
-of the largest, for scores and shares of 1, for speeds of the demonstrator's or the expert's."""
-
-WALKING = 0.5
-"""Share of the human's speed below which a gait is not walking."""
-
+MIN_TRIALS, MARGIN, WALKING = 3, 0.1, 0.5
 RULES = {
-    "trials": f"Every cell of a claim needs {MIN_TRIALS} trials or more, of the planned iterations.",
-    "margin": f"Two levels agree within {MARGIN:.0%} of their scale: for returns of the span from"
-    " the paper's random policy to its expert (humanoids: of the highest return), for rewards of D"
-    " of the largest, for scores and shares of 1, for speeds of the demonstrator's or expert's.",
-    "score": "A score is the mean return over trials divided by the mean return of the body's own"
-    " experts; its interval holds the spread of both. Beside it stands the score against the best"
-    " of those experts, which is the one that demonstrates.",
-    "expert level": f"Score and speed both reach {1 - MARGIN:g} of the experts'. An expert stands"
+    "trials": f"Every cell of a claim needs {MIN_TRIALS} trials of the planned iterations.",
+    "margin": f"Two levels agree within {100 * MARGIN:.0f} % of their scale: for returns of the"
+    " span from the paper's random policy to its expert (humanoids: of the highest return), for"
+    " rewards of D of the largest, for scores and shares of 1, for speeds of the demonstrator's.",
+    "score": "The mean return over trials by the mean return of the body's own experts; its"
+    " interval holds the spread of both. Beside it stands the score against the best of them.",
+    "expert level": f"Return and speed both reach {1 - MARGIN:g} of the experts'. An expert stands"
     f" where its speed is below {MARGIN:g} of that of the demonstrator's body; a score of 1 is then"
     " standing, and the claim cannot be tested by it.",
     "stable gait": f"The body survives {1 - MARGIN:g} of an episode's steps and moves at"
     f" {WALKING:g} of the human's speed or more, so that standing still is no gait.",
-    "power": f"The difference that would have been found in {statistics.POWER:.0%} of studies with"
-    " as many trials as are planned, if the spread is the one seen.",
+    "power": f"The difference found in {100 * statistics.POWER:.0f} % of all studies with as many"
+    " trials as are planned, if the spread is the one seen.",
 }  # fmt: skip
-"""What the rules below have in common, in words."""
+"""What the rules of the claims have in common, in words."""
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 

@@ -124,9 +124,10 @@ def film(_: str = "") -> str:
             else f"{label} has no run"
         )
     return (
-        "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no reward,"
-        f" no actions, no retargeting. One trial is filmed. Behind it: {parts[0]}; without the"
-        f" transform, {parts[1]}. `python -m silem render {FILM} --out walk.mp4` films it again.*"
+        "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
+        " reward, no actions, no retargeting. One trial is filmed. Behind it:"
+        f" {parts[0]}; without the transform, {parts[1]}."
+        f" `python -m silem render {FILM} --out walk.mp4` films it again.*"
     )
 
 
@@ -147,8 +148,8 @@ def filled(page: Path) -> str:
         if begin in text:
             block = f"{begin}\n{write(PAGES.get(page, ''))}\n{end}"
             pattern = f"{re.escape(begin)}.*?{re.escape(end)}"
-            text, found = re.subn(pattern, lambda _, b=block: b, text, flags=re.DOTALL)
-            n_blocks += found
+            parts = re.split(pattern, text, flags=re.DOTALL)
+            text, n_blocks = block.join(parts), n_blocks + len(parts) - 1
     if n_blocks != len(re.findall(r"<!-- [\w ]+: begin -->", text)) or not n_blocks:
         raise SilemError(f"{page.name}: a generated block is missing or has no end")
     return text

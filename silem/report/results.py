@@ -25,7 +25,7 @@ from silem.util.errors import SilemError
 
 __all__ = [
     "COLUMNS", "KEYS", "against_best", "body_names", "cell", "context", "describe", "find",
-    "is_evidence", "is_planned", "load_curve", "load_records", "load_transform", "missing_runs",
+    "is_evidence", "is_planned", "load_curve", "load_records", "load_transform",
     "n_trials", "original_body", "paper_loss", "planned_methods", "scores", "select", "stand_ins",
     "upright_label", "values",
 ]  # fmt: skip
@@ -106,11 +106,6 @@ def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
     study, budget = context(frame)
     return len(seeds_of(study, BUDGETS[budget]))
-
-
-def missing_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """List the planned runs that are not in a table, with the command that makes each."""
-    return pd.DataFrame(frame.attrs["missing"], columns=[*KEYS, "run_id", "command"])
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:

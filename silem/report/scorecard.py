@@ -40,10 +40,10 @@ def _judge(frame: pd.DataFrame, study: str) -> pd.DataFrame:
 def table(frame: pd.DataFrame) -> Styler:
     """Return the scorecard for a page: the claim with its rule, the paper's number, ours, verdict.
 
-    Where a study plans the same cells with the paper's loss for D, without our gradient penalty, its
-    verdicts stand beside ours. Below each value: its 95 % interval, the trials, the score against
-    the best expert, the share of pairs of trials in which the first of two cells is higher, and
-    the difference from the bound that the planned number of trials would have found.
+    Where a study plans the same cells with the paper's loss for D, without our gradient penalty,
+    its verdicts stand beside ours. Below a value with its 95 % interval: the trials, the score
+    against the best expert, the share of pairs of trials in which the first of two cells is
+    higher, and the distance from the bound that the planned trials would have found.
 
     Args:
         frame: Runs of one study at one budget.

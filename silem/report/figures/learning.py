@@ -64,8 +64,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
             if not any(axes.lines for axes in row):
                 row[0].set_yticks([])
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
-        others = [(cells.OTHER_LENGTH, _DASHES[1])] if frame["stand_in"].any() else []
-        _legend(figure, drawn, results.original_body(frame), others, ncols=3)
+        dashes = [(cells.OTHER_LENGTH, _DASHES[1])] if frame["stand_in"].any() else []
+        _legend(figure, drawn, results.original_body(frame), dashes, ncols=3)
         figure.align_ylabels(grid[:, 0])
         figure.align_xlabels(grid[-1])
         counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()

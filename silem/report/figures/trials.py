@@ -48,7 +48,7 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
             cells.room_for_counts(axes, 0.0, 1.05)
             cells.trial_counts(axes, frame, shown, column)
         handles = cells.handles([style.method(m, original) for m in [*methods, "ppo"]])
-        mean = {"color": style.MUTED, "lw": 1, "ls": cells.LEVEL_DASHES}
+        mean: dict[str, Any] = {"color": style.MUTED, "lw": 1, "ls": cells.LEVEL_DASHES}
         handles.append(Line2D([], [], label="mean of the body's experts", **mean))
         handles.append(Line2D([], [], label="the best of them, the demonstrator", **_BEST))
         figure.legend(handles=handles, loc="outside upper left", ncols=3)
