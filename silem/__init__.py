@@ -9,7 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small n
 
 import silem.util.offscreen  # noqa: F401  before anything imports MuJoCo
 from silem import bodies
-from silem.algorithms import PPO, SILEM, TPIL
+from silem.algorithms import PPO, SILEM, TPIL, GAIfO, load_policy
 from silem.envs import make_vec
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import RunConfig
@@ -23,11 +23,13 @@ __all__ = [
     "SILEM",
     "TPIL",
     "Demonstrations",
+    "GAIfO",
     "RunConfig",
     "RunRecord",
     "SilemError",
     "bodies",
     "evaluate",
+    "load_policy",
     "make_vec",
     "run",
 ]

@@ -12,7 +12,7 @@ from silem import bodies
 from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
 from silem.study import campaign, runs, studies
 from silem.study.config import RunConfig
-from silem.study.demonstrate import demonstrate, demonstrator, trial_name
+from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
 from silem.study.evaluate import evaluate
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
@@ -150,10 +150,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
     path = demonstrate(
         record, options.trajectories, name=name, force=options.force, progress=not options.quiet
     )
-    print(
-        f"{path}: {options.trajectories} trajectories of {record.run_id}, return"
-        f" {record.evaluation['return_mean']:.0f}, {record.evaluation['speed_m_s']:.2f} m/s"
-    )
+    print(f"{path}: {describe(path.stem)}")
 
 
 def _render(options: argparse.Namespace) -> None:

@@ -9,23 +9,27 @@ stable-baselines3 does with the policy (predict, save, load) sees every step at 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.distributions import DiagGaussianDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.torch_layers import FlattenExtractor, MlpExtractor
 from torch import nn
 
-from silem.algorithms.normalizer import CLIP, RunningNormalizer
+from silem.algorithms.networks import CLIP, RunningNormalizer
 
+_ADAM_STATE = ("step", "exp_avg", "exp_avg_sq")
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
-class MiniBatch:
-    """One PPO minibatch of B transitions; observations are already normalised."""
+class Batch:
+    """B transitions for PPO, a minibatch or a rollout; observations are already normalised."""
 
     observations: np.ndarray  # (B, O)
     actions: np.ndarray  # (B, A)
@@ -78,6 +82,10 @@ class _Tower:
                 grad_out *= 1.0 - x * x
 
 
+def _same(first: Sequence[th.Tensor], second: Sequence[th.Tensor]) -> bool:
+    return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
+
+
 class FlatActorCritic:
     """NumPy twin of a supported ``ActorCriticPolicy``; see :meth:`supports`.
 
@@ -91,29 +99,44 @@ class FlatActorCritic:
 
     @staticmethod
     def supports(policy: object) -> bool:
-        """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam."""
+        """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam.
+
+        What stable-baselines3 does to observations before the networks see them is part of it:
+        the twin takes Box observations as they are, so not those that count as images.
+        """
         if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
             return False
-        adam = policy.optimizer
-        plain_adam = type(adam) is th.optim.Adam and not any(
-            group["weight_decay"] or group["amsgrad"] or group["maximize"]
-            for group in adam.param_groups
+        space, adam = policy.observation_space, policy.optimizer
+        as_it_is = isinstance(space, spaces.Box) and not (
+            policy.normalize_images and is_image_space(space)
         )
-        hidden = [*policy.mlp_extractor.policy_net, *policy.mlp_extractor.value_net]
+        plain_adam = (
+            type(adam) is th.optim.Adam
+            and len(adam.param_groups) == 1
+            and not any(
+                adam.param_groups[0][name] for name in ("weight_decay", "amsgrad", "maximize")
+            )
+        )
+        parameters, hidden = list(policy.parameters()), policy.mlp_extractor
         return (
-            plain_adam
-            and policy.device.type == "cpu"
-            and isinstance(policy.action_dist, DiagGaussianDistribution)
+            as_it_is
+            and plain_adam
+            and _same(adam.param_groups[0]["params"], parameters)
+            and all(p.device.type == "cpu" and p.dtype == th.float32 for p in parameters)
+            and type(policy.action_dist) is DiagGaussianDistribution
             and not policy.squash_output
-            and isinstance(policy.features_extractor, FlattenExtractor | RunningNormalizer)
-            and all(isinstance(layer, nn.Linear | nn.Tanh) for layer in hidden)
+            and type(policy.features_extractor) in (FlattenExtractor, RunningNormalizer)
+            and type(hidden) is MlpExtractor
+            and all(
+                type(layer) is (nn.Tanh if i % 2 else nn.Linear)
+                for net in (hidden.policy_net, hidden.value_net)
+                for i, layer in enumerate(net)
+            )
         )
 
     def sync(self) -> None:
-        """Adopt the policy again where something (``load``) replaced its tensors."""
-        first = next(iter(self.policy.optimizer.state.values()), None)
-        moved = first is None or first["exp_avg"].data_ptr() != self._first_moment_pointer
-        if moved or self._log_std.ctypes.data != self.policy.log_std.data_ptr():
+        """Adopt the policy again if any of its tensors was replaced; copy its moments."""
+        if self._pointers != self._tensor_pointers():
             self._adopt()
         self.refresh_moments()
 
@@ -148,9 +171,7 @@ class FlatActorCritic:
         """Return the critic's values (B,) of normalised observations (B, O)."""
         return self._critic.forward(x)[:, 0]
 
-    def gradient(
-        self, batch: MiniBatch, clip_range: float, ent_coef: float, vf_coef: float
-    ) -> Losses:
+    def gradient(self, batch: Batch, clip_range: float, ent_coef: float, vf_coef: float) -> Losses:
         """Fill ``self.grads`` with the gradient of PPO's clipped loss (Schulman et al., 2017).
 
         Args:
@@ -217,10 +238,18 @@ class FlatActorCritic:
             p.data = th.from_numpy(self.params[part].reshape(shape))
             views[id(p)] = p.data.numpy(), self.grads[part].reshape(shape)
             self._adopt_moments(p, i, part, shape)
-        first = self.policy.optimizer.state[parameters[0]]
-        self._first_moment_pointer = first["exp_avg"].data_ptr()
+        self._pointers = self._tensor_pointers()
         self._build_towers(views)
         self.refresh_moments()
+
+    def _tensor_pointers(self) -> list[int]:
+        """Return where parameters, moments and steps of torch's side lie now."""
+        optimizer_state = self.policy.optimizer.state
+        return [
+            tensor.data_ptr()
+            for p in self.policy.parameters()
+            for tensor in (p, *(optimizer_state.get(p, {}).get(name, p) for name in _ADAM_STATE))
+        ]
 
     def _adopt_moments(self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]) -> None:
         state = self.policy.optimizer.state[p]

@@ -1,28 +1,46 @@
-"""Adversarial imitation from observation on stable-baselines3's PPO: what the methods share."""
+"""GAIfO on windows: adversarial imitation from observation, which is Algorithm 1 without T."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch as th
 from stable_baselines3.common.vec_env import VecEnv
+from torch.nn import functional as F
 
-from silem.algorithms.discriminator import Discriminator, discriminator_loss
-from silem.algorithms.features import LearnerFeatures
+from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
-from silem.algorithms.windows import WindowTracker, episode_windows
+from silem.algorithms.windows import (
+    LearnerFeatures,
+    WindowTracker,
+    absorbing_windows,
+    episode_windows,
+    marked,
+)
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import SilemError
+from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, check_numbers, choose
+
+REWARDS = {
+    "d": th.sigmoid,  # D
+    "airl": lambda logits: logits,  # log D - log(1 - D)
+    "gail": F.softplus,  # -log(1 - D)
+}
+"""The reward of a window by name, from the logit of D."""
 
 
-class AdversarialImitation(PPO):
-    """PPO whose rewards are a discriminator's judgement of windows of skeletal features.
+class SurvivalWarning(UserWarning):
+    """The learner's episodes can end, and the reward pays for when they do."""
 
-    Each iteration collects a rollout, updates the discriminator D on it, puts its output in the
-    rewards' place and makes a PPO update. By itself this is SILEM-minus; :class:`SILEM` and
-    :class:`TPIL` add what compensates for another body.
+
+class GAIfO(PPO):
+    """Generative adversarial imitation from observation (Torabi et al., 2018) on windows.
+
+    Each iteration collects a rollout, updates the discriminator D on it, puts D's judgement in
+    the rewards' place and makes a PPO update. This is the paper's SILEM-minus; :class:`SILEM`
+    adds the transform T, :class:`TPIL` another discriminator.
 
     Args:
         policy: As in stable-baselines3 ("MlpPolicy").
@@ -37,16 +55,30 @@ class AdversarialImitation(PPO):
         disc_entropy_coef: Weight of D's entropy bonus.
         gradient_penalty: Weight of the penalty on D's gradient. The paper has none (0), and
             then D wins outright on a body that cannot match the expert: see "Deviations".
+        reward: "d" is the paper's, D itself; it is never negative, so where episodes can end it
+            pays for surviving. "airl" is log D - log(1 - D), "gail" is -log(1 - D).
+        absorbing_states: Let an episode that ends go on in an absorbing state that D judges too
+            (Kostrikov et al., 2019), so that the reward favours neither surviving nor ending.
+            True if all demonstrations end in a terminal state, or one bool for each; whether
+            the learner's do, they tell themselves. An episode cut by a time limit does not end.
         **kwargs: Everything :class:`PPO` takes.
 
     Raises:
-        SilemError: On unusable demonstrations, or demonstrations of another feature width than
-            the learner's.
+        SilemError: On unusable demonstrations or settings; in `learn`, on features of another
+            width than the demonstrations', or that not every environment supplies alike.
     """
 
+    _numbers: ClassVar[dict[str, NumberKind]] = PPO._numbers | {
+        "window": COUNT, "n_disc_updates": COUNT, "disc_learning_rate": RATE,
+        "disc_entropy_coef": WEIGHT, "gradient_penalty": WEIGHT,
+    }  # fmt: skip
+    _learns: ClassVar[dict[str, tuple[str, str]]] = PPO._learns | {
+        "discriminator": ("discriminator", "disc_optimizer")
+    }
     _transient: ClassVar[list[str]] = [
-        *PPO._transient, "discriminator", "disc_optimizer", "_tracker", "_windows", "_dones",
-        "_disc_returns", "_expert_windows", "_torch_rng",
+        *PPO._transient, "_features", "_tracker", "_windows",
+        "_dones", "_ends", "_warned", "_disc_returns", "_disc_rewards", "_expert_windows",
+        "_torch_rng",
     ]  # fmt: skip
 
     def __init__(
@@ -61,134 +93,185 @@ class AdversarialImitation(PPO):
         disc_hidden: Sequence[int] = (128, 128, 128),
         disc_entropy_coef: float = 1e-3,
         gradient_penalty: float = 1.0,
+        reward: str = "d",
+        absorbing_states: bool | Sequence[bool] = False,
         **kwargs: Any,
     ) -> None:
+        # as given: `_setup_model` checks them, because `load` puts arguments of its own in place
+        self.demonstrations = cast(Demonstrations, demonstrations)
         self.window = window
         self.n_disc_updates = n_disc_updates
         self.disc_learning_rate = disc_learning_rate
-        self.disc_hidden = tuple(disc_hidden)
+        self.disc_hidden = disc_hidden
         self.disc_entropy_coef = disc_entropy_coef
         self.gradient_penalty = gradient_penalty
-        self._tracker: WindowTracker | None = None
-        if demonstrations is None and kwargs.get("_init_setup_model", True):
-            name = type(self).__name__
-            raise SilemError(f"{name} needs demonstrations: a Demonstrations or a list of arrays")
-        if demonstrations is not None and not isinstance(demonstrations, Demonstrations):
-            demonstrations = Demonstrations.from_arrays(demonstrations)
-        # None only while stable-baselines3's load fills the attributes in
-        self.demonstrations: Demonstrations = demonstrations  # type: ignore[assignment]
+        self.reward = reward
+        self.absorbing_states = absorbing_states
         super().__init__(policy, env, **kwargs)
 
-    def _setup_model(self) -> None:
-        super()._setup_model()
-        n_features = self.demonstrations.n_features
-        windows = [episode_windows(f, self.window) for f in self.demonstrations.features]
-        self._expert_windows = th.from_numpy(np.concatenate(windows)).to(self.device)
-        self.features = LearnerFeatures(n_features)
-        self.discriminator = self._make_discriminator(n_features).to(self.device)
-        self.disc_optimizer = th.optim.Adam(
-            self.discriminator.parameters(), lr=self.disc_learning_rate
-        )
-        self._torch_rng = th.Generator().manual_seed(self.seed or 0)
+    def train(self) -> None:
+        """Make one iteration of Algorithm 1 (line 5), after line 6 has collected a rollout.
 
-    def reseed(self, seed: int) -> None:
-        """Restart every random stream of the model from ``seed``."""
-        super().reseed(seed)
-        self._torch_rng.manual_seed(seed)
-
-    def state_modules(self) -> dict[str, th.nn.Module]:
-        """Return policy, discriminator and what else learns, by name."""
-        return super().state_modules() | {"discriminator": self.discriminator}
-
-    def state_optimizers(self) -> dict[str, th.optim.Optimizer]:
-        """Return their optimizers, by name."""
-        return super().state_optimizers() | {"discriminator": self.disc_optimizer}
-
-    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        names, variables = super()._get_torch_save_params()
-        return [*names, "discriminator", "disc_optimizer"], variables
-
-    def score_windows(self, windows: np.ndarray) -> np.ndarray:
-        """Return D's judgement (B,), 1 for "expert", of learner windows (B, W, F) as they are now.
-
-        It is the reward of the actions that led to the windows' last states.
-
-        Raises:
-            SilemError: If the windows have another length or feature width than D's.
+        Lines 1 to 4 are `_setup_model`'s.
         """
-        wanted = (self.window, self.features.n_features)
-        if windows.shape[1:] != wanted:
-            raise SilemError(f"windows must be (B, {wanted[0]}, {wanted[1]}), not {windows.shape}")
-        return self._judge(self._shown(th.from_numpy(windows).to(self.device)))
+        tau_c = self._collected_windows()  # lines 6 and 7, (N, W, F): they stay as they are
+        tau = self._transformed(tau_c)  # line 8, T(o); GAIfO has no T
+        stats = self.update_discriminator(tau)  # line 9
+        stats |= self.update_transform(tau_c)  # line 10, D's weights fixed; GAIfO has no T
+        rewards = self._judged(tau, self.reward)  # line 11: D of line 9, but T(o) of line 8
+        self._learn_from(rewards)  # and the advantages that follow from these rewards
+        super().train()  # PPO's update of the policy
+        self._report(stats)
 
-    def _make_discriminator(self, n_features: int) -> th.nn.Module:
-        """Build D, a module from windows (B, W, F) to logits (B,) that are high for the expert."""
-        return Discriminator(n_features, self.window, self.disc_hidden)
-
-    def _shown(self, learner_windows: th.Tensor) -> th.Tensor:
-        """Return what D is shown of learner windows (N, W, F), without gradients."""
-        return learner_windows
-
-    def _update_compensation(self, learner_windows: th.Tensor) -> dict[str, float]:
-        """Update what compensates for the learner's body, after D; return what to log."""
-        return {}
-
-    def _begin_rollout(self, env: VecEnv) -> None:
-        starts = self._last_episode_starts
-        assert starts is not None
-        if self._tracker is None or starts.all():
-            first = self.features.first(env, self._last_obs)
-            self._tracker = WindowTracker(self.window, first)
-            self._disc_returns = np.zeros(env.num_envs)
-        shape = (self.n_steps, env.num_envs, self.window, self.features.n_features)
-        self._windows = np.empty(shape, dtype=np.float32)
-        self._dones = np.zeros(shape[:2], dtype=bool)
-
-    def _note_step(
-        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict[str, Any]], env: VecEnv
-    ) -> None:
-        reached, first = self.features.reached(env, new_obs, dones, infos)
-        assert self._tracker is not None
-        self._windows[step] = self._tracker.push(reached)
-        self._dones[step] = dones
-        for environment, features in first.items():
-            self._tracker.restart(environment, features)
-
-    def _learning_rewards(self, env_rewards: np.ndarray) -> np.ndarray:
-        """Run lines 7 to 10 of Algorithm 1 and return line 11's rewards, D's judgement (T, E)."""
-        flat = self._windows.reshape(-1, *self._windows.shape[2:])
-        if not np.isfinite(flat).all():
-            raise SilemError("the learner's skeletal features hold NaN or infinity")
-        learner_windows = th.from_numpy(flat).to(self.device)
-        shown = self._shown(learner_windows)  # line 8, before anything changes
-        stats = self.update_discriminator(shown)  # line 9
-        stats |= self._update_compensation(learner_windows)  # line 10
-        rewards = self._judge(shown).reshape(env_rewards.shape)
-        self._imitation_stats = stats | self._disc_episode_rewards(rewards)
-        self._log_imitation()
-        return rewards
-
-    def _judge(self, shown: th.Tensor) -> np.ndarray:
-        with th.no_grad():
-            return th.sigmoid(self.discriminator(shown)).cpu().numpy()
-
-    def update_discriminator(self, shown: th.Tensor) -> dict[str, float]:
+    def update_discriminator(self, tau: th.Tensor) -> dict[str, float]:
         """Make N_D steps of line 9 over one pass of learner windows (N, W, F) as D sees them.
 
         Returns:
             Means over the steps of the loss and of the share of expert and learner windows
             judged rightly.
         """
+        self.disc_optimizer.param_groups[0]["lr"] = self.disc_learning_rate
         steps = []
-        for rows in self._passes(len(shown), self.n_disc_updates):
+        for rows in self._passes(len(tau), self.n_disc_updates):
             draw = th.randint(len(self._expert_windows), (len(rows),), generator=self._torch_rng)
             mixing = th.rand(len(rows), generator=self._torch_rng).to(self.device)
-            loss, stats = self._disc_loss(self._expert_windows[draw], shown[rows], mixing)
+            loss, stats = self._disc_loss(self._expert_windows[draw], tau[rows], mixing)
             self.disc_optimizer.zero_grad()
             loss.backward()
             self.disc_optimizer.step()
             steps.append(stats)
         return {name: float(np.mean([stats[name] for stats in steps])) for name in steps[0]}
+
+    def update_transform(self, tau_c: th.Tensor) -> dict[str, float]:
+        """Make line 10's steps on learner windows (N, W, F) and return what to log: none here."""
+        return {}
+
+    def score_windows(self, windows: np.ndarray) -> np.ndarray:
+        """Return D's judgement (B,), 1 for "expert", of learner windows (B, W, F) as they are now.
+
+        Raises:
+            SilemError: If the windows have another length or feature width than D's.
+        """
+        wanted = (self.window, self.demonstrations.n_features)
+        if windows.shape[1:] != wanted:
+            raise SilemError(f"windows must be (B, {wanted[0]}, {wanted[1]}), not {windows.shape}")
+        shown = th.from_numpy(marked(windows) if self._absorbing else windows).to(self.device)
+        return self._judged(self._transformed(shown), "d")
+
+    def reseed(self, seed: int) -> None:
+        """Restart every random stream of the model from ``seed``."""
+        super().reseed(seed)
+        self._torch_rng.manual_seed(seed)
+
+    def _check_settings(self) -> None:
+        super()._check_settings()
+        if not isinstance(self.disc_hidden, Sequence):
+            raise SilemError(f"disc_hidden must be a list of layer sizes, not {self.disc_hidden!r}")
+        for size in self.disc_hidden:
+            check_numbers({"each size in disc_hidden": size}, {"each size in disc_hidden": COUNT})
+        choose("reward", self.reward, REWARDS)
+        self.demonstrations = _checked(self.demonstrations, type(self).__name__)
+        marks, n = self.absorbing_states, len(self.demonstrations.features)
+        per_episode = isinstance(marks, Sequence) and len(marks) == n
+        if not isinstance(marks, bool) and not per_episode:
+            raise SilemError(f"absorbing_states must be a bool, or one for each of {n} episodes")
+        self._absorbing = marks is not False
+        if self._absorbing and not self.gamma < 1:
+            raise SilemError(f"absorbing_states need a gamma below 1, not {self.gamma!r}")
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        n_features = self.demonstrations.n_features
+        self._features = LearnerFeatures(n_features)
+        self._tracker: WindowTracker | None = None
+        self._warned = False
+        self._expert_windows = th.from_numpy(self._cut_demonstrations()).to(self.device)
+        self.discriminator = self._make_discriminator(n_features + self._absorbing)
+        self.discriminator.to(self.device)
+        self.disc_optimizer = th.optim.Adam(
+            self.discriminator.parameters(), lr=self.disc_learning_rate
+        )
+        self._torch_rng = th.Generator().manual_seed(self.seed or 0)
+
+    def _cut_demonstrations(self) -> np.ndarray:
+        """Return the expert's windows (N, W, F), those in the absorbing state last."""
+        windows = [episode_windows(f, self.window) for f in self.demonstrations.features]
+        if not self._absorbing:
+            return np.concatenate(windows)
+        marks = self.absorbing_states
+        ended = [marks] * len(windows) if isinstance(marks, bool) else marks
+        after = [absorbing_windows(w[-1]) for w, end in zip(windows, ended, strict=True) if end]
+        return np.concatenate([*map(marked, windows), *after])
+
+    def _make_discriminator(self, n_features: int) -> th.nn.Module:
+        """Build D, a module from windows (B, W, F) to logits (B,) that are high for the expert."""
+        return Discriminator(n_features, self.window, self.disc_hidden)
+
+    def _begin_rollout(self, env: VecEnv) -> None:
+        starts = self._last_episode_starts
+        assert starts is not None
+        if self._tracker is None or starts.all():
+            first = self._features.first(env, self._last_obs)
+            self._tracker = WindowTracker(self.window, first)
+            self._disc_returns = np.zeros(env.num_envs)
+        shape = (self.n_steps, env.num_envs, self.window, self._features.n_features)
+        self._windows = np.empty(shape, dtype=np.float32)
+        self._dones = np.zeros(shape[:2], dtype=bool)
+        self._ends: list[tuple[int, int]] = []  # steps and environments with a terminal state
+
+    def _note_step(
+        self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict[str, Any]], env: VecEnv
+    ) -> None:
+        reached, first = self._features.reached(env, new_obs, dones, infos)
+        assert self._tracker is not None
+        self._windows[step] = self._tracker.push(reached)
+        self._dones[step] = dones
+        for environment, features in first.items():
+            self._tracker.restart(environment, features)
+            if not infos[environment].get("TimeLimit.truncated", False):
+                self._ends.append((step, environment))
+
+    def _collected_windows(self) -> th.Tensor:
+        """Return the rollout's windows (T * E, W, F), those after episodes' ends behind them."""
+        windows = self._windows.reshape(-1, *self._windows.shape[2:])
+        if not np.isfinite(windows).all():
+            raise SilemError("the learner's skeletal features hold NaN or infinity")
+        if self._absorbing:
+            after = [absorbing_windows(self._windows[end]) for end in self._ends]
+            windows = np.concatenate([marked(windows), *after])
+        elif self._ends and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"episodes end before their time limit, and the reward {self.reward!r} pays for"
+                " when they do: where it is positive, for surviving, so that a learner may avoid"
+                " its goal. absorbing_states=True removes this bias",
+                SurvivalWarning,
+                stacklevel=5,  # where `learn` was called
+            )
+        return th.from_numpy(windows).to(self.device)
+
+    def _transformed(self, windows: th.Tensor) -> th.Tensor:
+        """Return what D is shown of learner windows (N, W, F), without gradients."""
+        return windows
+
+    def _judged(self, tau: th.Tensor, reward: str) -> np.ndarray:
+        with th.no_grad():
+            return REWARDS[reward](self.discriminator(tau)).cpu().numpy()
+
+    def _learn_from(self, judged: np.ndarray) -> None:
+        """Put rewards in the rollout's place: of its steps and, behind them, after ends.
+
+        What follows an end is worth its discounted rewards in the absorbing state, for ever.
+        """
+        n_steps = self._dones.size
+        self._disc_rewards = judged[:n_steps].reshape(self._dones.shape)
+        if self._absorbing:
+            discounts = self.gamma ** np.arange(1.0, self.window + 1)
+            discounts[-1] /= 1.0 - self.gamma
+            after = judged[n_steps:].reshape(-1, self.window) @ discounts
+            for end, worth in zip(self._ends, after, strict=True):
+                self._bootstrap[end] = worth
+        self._set_rewards(self._disc_rewards)
 
     def _disc_loss(
         self, expert_windows: th.Tensor, learner_windows: th.Tensor, mixing: th.Tensor
@@ -214,20 +297,35 @@ class AdversarialImitation(PPO):
         order = th.randperm(n, generator=self._torch_rng)
         return order[: size * n_batches].split(size)
 
-    def _disc_episode_rewards(self, rewards: np.ndarray) -> dict[str, float]:
-        """Return the mean discriminator reward of the episodes that ended in this rollout."""
-        finished = []
-        for step_rewards, dones in zip(rewards, self._dones, strict=True):
-            self._disc_returns += step_rewards
-            if dones.any():
-                finished += list(self._disc_returns[dones])
-                self._disc_returns[dones] = 0.0
-        return {"disc_reward": float(np.mean(finished))} if finished else {}
-
-    def _log_imitation(self) -> None:
-        for key, value in self._imitation_stats.items():
+    def _report(self, stats: dict[str, float]) -> None:
+        """Log an iteration, with the mean learned reward of the episodes that ended in it."""
+        finished: list[float] = []
+        for rewards, dones in zip(self._disc_rewards, self._dones, strict=True):
+            self._disc_returns += rewards
+            finished += self._disc_returns[dones].tolist()
+            self._disc_returns[dones] = 0.0
+        if finished:
+            stats["disc_reward"] = float(np.mean(finished))
+        for key, value in stats.items():
             self.logger.record(f"imitation/{key}", value)
+        self.iteration_stats |= stats
 
-    def _record_episodes(self) -> None:
-        super()._record_episodes()
-        self.iteration_stats |= self._imitation_stats
+
+def _checked(demonstrations: Any, method: str) -> Demonstrations:
+    """Return what was passed as demonstrations as such, or raise SilemError."""
+    if isinstance(demonstrations, Demonstrations):
+        return demonstrations
+    wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
+    if demonstrations is None:
+        raise SilemError(f"{method} needs demonstrations: {wanted}")
+    if isinstance(demonstrations, np.ndarray) and demonstrations.ndim == 2:
+        raise SilemError(
+            f"demonstrations are one array {demonstrations.shape}; allowed: {wanted}: for one"
+            " episode, [array]"
+        )
+    try:
+        return Demonstrations.from_arrays(demonstrations)
+    except SilemError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise SilemError(f"demonstrations are not {wanted}: {error}") from error

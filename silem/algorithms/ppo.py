@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,29 +13,53 @@ from gymnasium import spaces
 from stable_baselines3 import PPO as SB3PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.utils import explained_variance, obs_as_tensor, set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from silem.algorithms import state, update
-from silem.algorithms.fast_mlp import FlatActorCritic, Losses
-from silem.algorithms.normalizer import RunningNormalizer
+from silem.algorithms import state
+from silem.algorithms.fast_mlp import Batch, FlatActorCritic, Losses
+from silem.algorithms.networks import RunningNormalizer
+from silem.util.errors import (
+    COUNT,
+    FACTOR,
+    RATE,
+    WEIGHT,
+    NumberKind,
+    SilemError,
+    check_numbers,
+    choose,
+)
 
 _EPISODE_STATS = {"r": "return_mean", "speed_m_s": "speed_m_s", "l": "episode_length"}
+_OF_THE_FILE = {"self", "policy", "args", "kwargs", "normalize_observations", "_init_setup_model"}
 
 
 class PPO(SB3PPO):
     """Proximal policy optimisation (Schulman et al., 2017) on stable-baselines3's interface.
 
     Takes every argument of ``stable_baselines3.PPO``. The tanh MLP of ``MlpPolicy`` is rolled
-    out and updated by :class:`FlatActorCritic`; any other policy, a clipped value loss and
-    gSDE go through stable-baselines3's own code.
+    out and updated by :class:`FlatActorCritic`; any other policy or preprocessing, a clipped
+    value loss and gSDE go through stable-baselines3's own code.
 
     Args:
         policy: As in stable-baselines3.
         env: As in stable-baselines3.
         normalize_observations: Put :class:`RunningNormalizer` in front of an ``MlpPolicy``.
         **kwargs: Every other argument of ``stable_baselines3.PPO``.
+
+    Raises:
+        SilemError: A number is not of its kind.
     """
+
+    _numbers: ClassVar[dict[str, NumberKind]] = {
+        "n_steps": COUNT, "batch_size": COUNT, "n_epochs": COUNT, "gamma": FACTOR,
+        "gae_lambda": FACTOR, "ent_coef": WEIGHT, "vf_coef": WEIGHT, "max_grad_norm": RATE,
+        "learning_rate": RATE,
+    }  # fmt: skip
+    # what learns: its module and its optimizer among the attributes, which `save` keeps as such
+    _learns: ClassVar[dict[str, tuple[str, str]]] = {"policy": ("policy", "policy.optimizer")}
+    _transient: ClassVar[list[str]] = ["_fast", "_rng", "_bootstrap", "_episodes"]
 
     def __init__(
         self, policy: Any, env: Any, *args: Any, normalize_observations: bool = True, **kwargs: Any
@@ -45,20 +72,56 @@ class PPO(SB3PPO):
         self._fast: FlatActorCritic | None = None
         self._rng = np.random.default_rng(kwargs.get("seed"))
         self.iteration_stats: dict[str, float] = {}
+        self._check_numbers(kwargs)  # before stable-baselines3 divides by them
         super().__init__(policy, env, *args, **kwargs)
 
-    _transient: ClassVar[list[str]] = [
-        "_fast", "_rng", "_bootstrap", "_episodes",
-    ]  # fmt: skip
+    @classmethod
+    def load(  # type: ignore[override]
+        cls,
+        path: Any,
+        env: Any = None,
+        device: th.device | str = "cpu",
+        custom_objects: dict[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Load a model that ``save`` wrote, running whatever code the file holds.
 
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), *self._transient]
+        **Load only files you trust**: stable-baselines3's format contains pickles. To give a
+        policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`, whose
+        files hold numbers alone.
 
-    def _setup_model(self) -> None:
-        super()._setup_model()
-        self._rng = np.random.default_rng(self.seed)
-        fast = FlatActorCritic.supports(self.policy) and self.clip_range_vf is None
-        self._fast = FlatActorCritic(self.policy) if fast else None
+        Args:
+            path: The .zip file.
+            env: The environment to go on with; None is enough to predict.
+            device: Where the networks live.
+            custom_objects: As in stable-baselines3.
+            **kwargs: What the constructor takes, in place of what was saved; also
+                ``print_system_info`` and ``force_reset``, as in stable-baselines3.
+
+        Raises:
+            SilemError: An argument is unknown or of no use, or the networks that the arguments
+                describe are not those of the file.
+        """
+        allowed = {"print_system_info": None, "force_reset": None}
+        for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
+            allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
+        for name in kwargs:
+            choose(f"argument of {cls.__name__}.load", name, sorted(allowed.keys() - _OF_THE_FILE))
+        if "stats_window_size" in kwargs:
+            kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
+        try:
+            return super().load(path, env, device, custom_objects, **kwargs)
+        except RuntimeError as error:
+            raise SilemError(f"{path} holds other networks than asked for: {error}") from error
+
+    def export_policy(self, path: Path | str) -> None:
+        """Write the policy as a safetensors file, numbers alone, for `silem.load_policy`.
+
+        Raises:
+            SilemError: The policy is no multi-layer perceptron on a Box of observations, or the
+                file cannot be written.
+        """
+        state.export_policy(self.policy, Path(path))
 
     def reseed(self, seed: int) -> None:
         """Restart every random stream of the model from ``seed``."""
@@ -76,8 +139,6 @@ class PPO(SB3PPO):
     def load_state_arrays(self, arrays: dict[str, np.ndarray]) -> None:
         """Restore :meth:`state_arrays`; raises SilemError on missing or misshaped arrays."""
         state.restore(self.state_modules(), self.state_optimizers(), arrays)
-        if self._fast is not None:
-            self._fast.sync()
 
     def policy_arrays(self) -> dict[str, np.ndarray]:
         """Return what ``predict`` needs: the policy's weights and observation moments."""
@@ -88,12 +149,12 @@ class PPO(SB3PPO):
         state.restore({"policy": self.policy}, {}, arrays)
 
     def state_modules(self) -> dict[str, th.nn.Module]:
-        """Return the modules that a checkpoint holds, by name."""
-        return {"policy": self.policy}
+        """Return the modules that learn, by name."""
+        return {name: getattr(self, module) for name, (module, _) in self._learns.items()}
 
     def state_optimizers(self) -> dict[str, th.optim.Optimizer]:
-        """Return the optimizers that a checkpoint holds, by name."""
-        return {"policy": self.policy.optimizer}
+        """Return their optimizers, by the same names."""
+        return {name: recursive_getattr(self, adam) for name, (_, adam) in self._learns.items()}
 
     def collect_rollouts(
         self,
@@ -105,20 +166,34 @@ class PPO(SB3PPO):
         """Fill the rollout buffer as stable-baselines3 does, and remember what bootstraps it.
 
         Values at time limits are kept apart from the rewards, so that an imitation learner can
-        put other rewards in their place before the advantages are computed.
+        put other rewards in their place before it learns. A rollout that is broken off, by a
+        callback or an error, leaves the environments ahead of what the model saw of them; the
+        next ``learn`` therefore begins with new episodes.
 
         Returns:
             False if the callback ended training, else True.
         """
+        complete = False
+        try:
+            complete = self._collect(env, callback, rollout_buffer, n_rollout_steps)
+        finally:
+            if not complete:
+                self._last_obs = None
+        return complete
+
+    def _collect(
+        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_steps: int
+    ) -> bool:
+        self._refresh_twin()
         self.policy.set_training_mode(False)
         rollout_buffer.reset()
-        self._bootstrap = np.zeros((n_rollout_steps, env.num_envs), dtype=np.float32)
+        self._bootstrap = np.zeros((n_steps, env.num_envs), dtype=np.float32)
         self._episodes: list[dict[str, float]] = []
         if self.use_sde:
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
         self._begin_rollout(env)
-        for step in range(n_rollout_steps):
+        for step in range(n_steps):
             if self.use_sde and self.sde_sample_freq > 0 and step % self.sde_sample_freq == 0:
                 self.policy.reset_noise(env.num_envs)
             actions, values, log_probs = self._sample(self._last_obs)
@@ -132,33 +207,71 @@ class PPO(SB3PPO):
                 actions = actions.reshape(-1, 1)
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
-            update.store(
+            _store(
                 rollout_buffer, step, observations=self._last_obs, actions=actions,
                 rewards=rewards, episode_starts=self._last_episode_starts, values=values,
                 log_probs=log_probs,
             )  # fmt: skip
             self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
-        rollout_buffer.rewards = self._learning_rewards(rollout_buffer.rewards) + self._bootstrap
-        last_values = th.from_numpy(self._values(self._last_obs))
-        rollout_buffer.compute_returns_and_advantage(last_values, dones)
+        self._set_rewards(rollout_buffer.rewards)
         callback.update_locals(locals())
         callback.on_rollout_end()
         return True
 
     def train(self) -> None:
         """Update the policy on the rollout: PPO's epochs of clipped minibatch steps."""
+        self._refresh_twin()
         if self._fast is None:
             super().train()
         else:
             self._train_fast(self._fast)
-        extractor = self.policy.features_extractor
-        if isinstance(extractor, RunningNormalizer):
-            buffer = self.rollout_buffer
-            seen = buffer.observations  # SB3's train has flattened it already
-            extractor.update(seen if buffer.generator_ready else buffer.swap_and_flatten(seen))
-            if self._fast is not None:
-                self._fast.refresh_moments()
+        buffer = self.rollout_buffer
+        for module in self.policy.modules():
+            if isinstance(module, RunningNormalizer):
+                seen = buffer.observations  # SB3's train has flattened it already
+                module.update(seen if buffer.generator_ready else buffer.swap_and_flatten(seen))
         self._record_episodes()
+
+    def _refresh_twin(self) -> None:
+        """Have the NumPy twin of the policy, where there is one, agree with the torch policy.
+
+        The invariant: the twin owns the memory. Parameters and Adam's moments live in its flat
+        vectors, and torch's tensors are views of them, so a step of either side is seen by the
+        other at once, as is what is copied into the tensors (``load_state_dict``). Two things it
+        cannot see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``,
+        another policy object) and observation moments, of which it keeps a rounded copy. So
+        before every rollout and every update it adopts replaced tensors and copies the moments
+        anew, whoever changed them; between these two nothing may. Where the policy is none that
+        it reproduces, there is no twin, and stable-baselines3's own code runs.
+        """
+        if not FlatActorCritic.supports(self.policy) or self.clip_range_vf is not None:
+            self._fast = None
+        elif self._fast is None or self._fast.policy is not self.policy:
+            self._fast = FlatActorCritic(self.policy)
+        else:
+            self._fast.sync()
+
+    def _excluded_save_params(self) -> list[str]:
+        learned = [name for names in self._learns.values() for name in names]
+        return [*super()._excluded_save_params(), *self._transient, *learned]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return [name for names in self._learns.values() for name in names], []
+
+    def _check_numbers(self, values: dict[str, Any]) -> None:
+        # a learning rate may be a schedule
+        numbers = {name: value for name, value in values.items() if not callable(value)}
+        check_numbers(numbers, self._numbers)
+
+    def _check_settings(self) -> None:
+        """Check the arguments, whether the constructor or `load` put them in their places."""
+        self._check_numbers(vars(self))
+
+    def _setup_model(self) -> None:
+        self._check_settings()
+        super()._setup_model()
+        self._rng = np.random.default_rng(self.seed)
+        self._refresh_twin()
 
     def _begin_rollout(self, env: VecEnv) -> None:
         """Prepare an imitation learner's own record of the rollout."""
@@ -168,9 +281,13 @@ class PPO(SB3PPO):
     ) -> None:
         """Let an imitation learner see each step."""
 
-    def _learning_rewards(self, env_rewards: np.ndarray) -> np.ndarray:
-        """Return the rewards (T, E) to learn from; an imitation learner puts its own here."""
-        return env_rewards
+    def _set_rewards(self, rewards: np.ndarray) -> None:
+        """Put rewards (T, E) into the rollout buffer, continued where episodes were cut."""
+        buffer = self.rollout_buffer
+        buffer.rewards = rewards + self._bootstrap
+        last_values = th.from_numpy(self._values(self._last_obs))
+        assert self._last_episode_starts is not None
+        buffer.compute_returns_and_advantage(last_values, self._last_episode_starts)
 
     def _sample(self, observations: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if self._fast is not None:
@@ -190,35 +307,33 @@ class PPO(SB3PPO):
     def _env_actions(self, actions: np.ndarray) -> np.ndarray:
         if not isinstance(self.action_space, spaces.Box):
             return actions
+        actions = actions.reshape(-1, *self.action_space.shape)
         if self.policy.squash_output:
             return self.policy.unscale_action(actions)
         return np.clip(actions, self.action_space.low, self.action_space.high)
 
     def _note_episode_ends(self, step: int, dones: np.ndarray, infos: list[dict[str, Any]]) -> None:
-        if not dones.any():
-            return
         for i in np.flatnonzero(dones):
             info = infos[i]
             self._episodes.append(info.get("episode", {}))
             if info.get("TimeLimit.truncated", False):
                 terminal = info["terminal_observation"]
                 batch = (
-                    {key: value[None] for key, value in terminal.items()}
+                    {key: np.asarray(value)[None] for key, value in terminal.items()}
                     if isinstance(terminal, dict)
                     else np.asarray(terminal)[None]
                 )
                 self._bootstrap[step, i] = self.gamma * self._values(batch)[0]
 
     def _train_fast(self, fast: FlatActorCritic) -> None:
-        fast.sync()
         self._update_learning_rate(self.policy.optimizer)
         assert callable(self.clip_range)
         clip_range = self.clip_range(self._current_progress_remaining)
-        rollout = update.flatten(self.rollout_buffer, fast)
+        rollout = _flatten(self.rollout_buffer, fast)
         losses: list[Losses] = []
         for _ in range(self.n_epochs):
             order = self._rng.permutation(len(rollout.actions))
-            for batch in rollout.minibatches(order, self.batch_size, self.normalize_advantage):
+            for batch in _minibatches(rollout, order, self.batch_size, self.normalize_advantage):
                 loss = fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef)
                 losses.append(loss)
                 if self.target_kl is not None and loss.approx_kl > 1.5 * self.target_kl:
@@ -228,7 +343,7 @@ class PPO(SB3PPO):
             if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
                 break
         log_std = self.policy.log_std.detach().numpy()
-        for key, value in update.summary(losses, log_std, self.ent_coef, self.vf_coef).items():
+        for key, value in _summary(losses, log_std, self.ent_coef, self.vf_coef).items():
             self.logger.record(f"train/{key}", value)
         buffer = self.rollout_buffer
         variance = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
@@ -246,3 +361,68 @@ class PPO(SB3PPO):
         if hasattr(self.policy, "log_std"):
             stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
         self.iteration_stats = stats
+
+
+def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
+    """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
+
+    ``RolloutBuffer.add`` copies tensors; writing plain arrays into its rows is several times
+    faster. Dictionaries of observations go through ``add``.
+    """
+    if isinstance(rows["observations"], dict):
+        tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))
+        names = ("observations", "actions", "rewards", "episode_starts")
+        buffer.add(*(rows[name] for name in names), *tensors)
+        return
+    for name, row in rows.items():
+        into = getattr(buffer, name)[step]
+        into[...] = np.reshape(row, into.shape)
+    buffer.pos = step + 1
+    buffer.full = buffer.pos == buffer.buffer_size
+
+
+def _flatten(buffer: RolloutBuffer, fast: FlatActorCritic) -> Batch:
+    """Return a full rollout (T, E, ...) as one batch, environments one after another."""
+    flat = buffer.swap_and_flatten
+    return Batch(
+        fast.normalize(flat(buffer.observations)),
+        flat(buffer.actions),
+        flat(buffer.log_probs)[:, 0],
+        flat(buffer.advantages)[:, 0],
+        flat(buffer.returns)[:, 0],
+    )
+
+
+def _minibatches(
+    rollout: Batch, order: np.ndarray, size: int, normalize_advantage: bool
+) -> Iterator[Batch]:
+    """Yield one epoch's minibatches: ``order`` (N,) cut into pieces of ``size``."""
+    inputs, actions, log_probs, all_advantages, returns = (
+        getattr(rollout, name)[order] for name in Batch.__dataclass_fields__
+    )
+    for start in range(0, len(order), size):
+        rows = slice(start, start + size)
+        advantages = all_advantages[rows]
+        if normalize_advantage and len(advantages) > 1:
+            advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
+        yield Batch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])
+
+
+def _summary(
+    losses: Sequence[Losses], log_std: np.ndarray, ent_coef: float, vf_coef: float
+) -> dict[str, float]:
+    """Return what stable-baselines3's PPO logs of an update, under its names."""
+    means = {
+        name: float(np.mean([getattr(loss, name) for loss in losses]))
+        for name in Losses.__dataclass_fields__
+    }
+    entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
+    return {
+        "entropy_loss": -entropy,
+        "policy_gradient_loss": means["policy"],
+        "value_loss": means["value"],
+        "approx_kl": means["approx_kl"],
+        "clip_fraction": means["clip_fraction"],
+        "loss": losses[-1].policy - ent_coef * entropy + vf_coef * losses[-1].value,
+        "std": float(np.exp(log_std).mean()),
+    }

@@ -1,4 +1,4 @@
-"""SILEM, SILEM-minus and the MLP ablation: Algorithm 1."""
+"""SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
 from __future__ import annotations
 
@@ -9,49 +9,43 @@ import numpy as np
 import torch as th
 from torch.nn import functional as F
 
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.transforms import (
-    L2_FORMS,
-    TRANSFORMS,
-    AffineTransform,
-    l2_penalty,
-    make_transform,
-)
+from silem.algorithms.gaifo import GAIfO
+from silem.algorithms.networks import L2_FORMS, TRANSFORMS, AffineTransform, l2_penalty
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import SilemError, choose
+from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
 
 
-class SILEM(AdversarialImitation):
+class SILEM(GAIfO):
     """Skeletal feature compensation for imitation learning with embodiment mismatch.
 
-    Each iteration collects a rollout, updates the discriminator D on it, updates the transform
-    T with D's weights fixed, puts D(T(o)) in the rewards' place and makes a PPO update.
+    Adds lines 3, 8 and 10 of Algorithm 1 to :class:`GAIfO`: a transform T of the learner's
+    windows, which learns to have D take them for the expert's.
 
     Args:
         policy: As in stable-baselines3 ("MlpPolicy").
-        env: As in :class:`AdversarialImitation`.
-        demonstrations: The expert's :class:`Demonstrations`, or a list of (T + 1, F) arrays.
-        transform: f of the sequential transform: "affine" is SILEM, "identity" SILEM-minus,
-            "mlp" the ablation of Table 1.
+        env: As in :class:`GAIfO`.
+        demonstrations: As in :class:`GAIfO`.
+        transform: f of the sequential transform: "affine" is SILEM, "mlp" the ablation of
+            Table 1. Without a transform SILEM is :class:`GAIfO`, the paper's SILEM-minus.
         n_transform_updates: N_G, transform steps per iteration, one pass over the rollout.
         transform_learning_rate: Adam's rate for T at the first iteration.
         transform_lr_decay: d, factor on the transform's learning rate per iteration.
         transform_l2_scale: w_d, weight of the L2 term on A; 0 switches it off (HalfCheetah, Ant).
         transform_l2_bias: w_b, weight of the L2 term on b; likewise.
         transform_l2_form: "deviation" penalises A - 1, "plain" A itself (see `l2_penalty`).
-        **kwargs: Everything :class:`AdversarialImitation` takes: ``window``, ``n_disc_updates``,
-            ``disc_learning_rate``, ``disc_hidden``, ``disc_entropy_coef``,
-            ``gradient_penalty``, and everything :class:`PPO` takes.
+        **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
     Raises:
-        SilemError: On an unknown transform or form, an L2 term on another transform than the
-            affine one, unusable demonstrations, or demonstrations of another feature width than
-            the learner's.
+        SilemError: As :class:`GAIfO`; an L2 term on another transform than the affine one.
     """
 
-    _transient: ClassVar[list[str]] = [
-        *AdversarialImitation._transient, "transform_net", "transform_optimizer",
-    ]  # fmt: skip
+    _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {
+        "n_transform_updates": COUNT, "transform_learning_rate": RATE,
+        "transform_lr_decay": FACTOR, "transform_l2_scale": WEIGHT, "transform_l2_bias": WEIGHT,
+    }  # fmt: skip
+    _learns: ClassVar[dict[str, tuple[str, str]]] = GAIfO._learns | {
+        "transform": ("transform_net", "transform_optimizer")
+    }
 
     def __init__(
         self,
@@ -68,88 +62,69 @@ class SILEM(AdversarialImitation):
         transform_l2_form: str = "deviation",
         **kwargs: Any,
     ) -> None:
-        self.transform = choose("transform", transform, TRANSFORMS)
+        self.transform = transform
         self.n_transform_updates = n_transform_updates
         self.transform_learning_rate = transform_learning_rate
         self.transform_lr_decay = transform_lr_decay
         self.transform_l2_scale = transform_l2_scale
         self.transform_l2_bias = transform_l2_bias
-        self.transform_l2_form = choose("transform_l2_form", transform_l2_form, L2_FORMS)
-        if (transform_l2_scale or transform_l2_bias) and transform != "affine":
-            raise SilemError(f"the L2 term is the affine transform's; {transform!r} has none")
+        self.transform_l2_form = transform_l2_form
         super().__init__(policy, env, demonstrations, **kwargs)
 
-    def _setup_model(self) -> None:
-        super()._setup_model()
-        n_features = self.demonstrations.n_features
-        self.transform_net = make_transform(self.transform, n_features).to(self.device)
-        learned = list(self.transform_net.parameters())
-        self.transform_optimizer = (
-            th.optim.Adam(learned, lr=self.transform_learning_rate) if learned else None
-        )
-
-    def state_modules(self) -> dict[str, th.nn.Module]:
-        """Return policy, discriminator and transform, by name."""
-        return super().state_modules() | {"transform": self.transform_net}
-
-    def state_optimizers(self) -> dict[str, th.optim.Optimizer]:
-        """Return their optimizers, by name; the identity has none."""
-        optimizer = self.transform_optimizer
-        own = {} if optimizer is None else {"transform": optimizer}
-        return super().state_optimizers() | own
-
-    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        own = ["transform_net"]
-        if self.transform_optimizer is not None:
-            own.append("transform_optimizer")
-        names, variables = super()._get_torch_save_params()
-        return [*names, *own], variables
-
-    def _shown(self, learner_windows: th.Tensor) -> th.Tensor:
-        with th.no_grad():
-            return self.transform_net(learner_windows)
-
-    def _update_compensation(self, learner_windows: th.Tensor) -> dict[str, float]:
-        return self.update_transform(learner_windows)
-
-    def update_transform(self, learner_windows: th.Tensor) -> dict[str, float]:
+    def update_transform(self, tau_c: th.Tensor) -> dict[str, float]:
         """Make N_G steps of line 10 on windows (N, W, F); D's weights stay.
 
         Returns:
             The mean of line 10's loss -log D(T(o)), without the L2 term, and the learning rate.
         """
-        if self.transform_optimizer is None:
-            return {}
-        iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1
+        iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1  # 0 for the first
         rate = self.transform_learning_rate * self.transform_lr_decay**iteration
         self.transform_optimizer.param_groups[0]["lr"] = rate
         learned = list(self.transform_net.parameters())
         losses = []
-        for rows in self._passes(len(learner_windows), self.n_transform_updates):
-            logits = self.discriminator(self.transform_net(learner_windows[rows]))
+        for rows in self._passes(len(tau_c), self.n_transform_updates):
+            logits = self.discriminator(self._apply(tau_c[rows]))
             loss = F.softplus(-logits).mean()  # -log sigmoid(logit)
             losses.append(loss.item())
             if self.transform_l2_scale or self.transform_l2_bias:
-                loss = loss + self._l2_penalty()
+                weights = self.transform_l2_scale, self.transform_l2_bias
+                assert isinstance(self.transform_net, AffineTransform)
+                loss = loss + l2_penalty(self.transform_net, *weights, self.transform_l2_form)
             # gradients by T alone: D's are not even computed
             for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
                 p.grad = gradient
             self.transform_optimizer.step()
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
-    def _l2_penalty(self) -> th.Tensor:
-        assert isinstance(self.transform_net, AffineTransform)
-        return l2_penalty(
-            self.transform_net,
-            self.transform_l2_scale,
-            self.transform_l2_bias,
-            self.transform_l2_form,
+    def _transformed(self, windows: th.Tensor) -> th.Tensor:
+        with th.no_grad():
+            return self._apply(windows)
+
+    def _apply(self, windows: th.Tensor) -> th.Tensor:
+        """Return T(o) of windows (N, W, F); the absorbing state has no features to transform."""
+        if not self._absorbing:
+            return self.transform_net(windows)
+        features, mark = windows[..., :-1], windows[..., -1:]
+        return th.cat([self.transform_net(features) * (1.0 - mark), mark], dim=-1)
+
+    def _check_settings(self) -> None:
+        super()._check_settings()
+        choose("transform", self.transform, TRANSFORMS)
+        choose("transform_l2_form", self.transform_l2_form, L2_FORMS)
+        if (self.transform_l2_scale or self.transform_l2_bias) and self.transform != "affine":
+            raise SilemError(f"the L2 term is the affine transform's; {self.transform!r} has none")
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        transform = TRANSFORMS[self.transform](self.demonstrations.n_features)
+        self.transform_net = transform.to(self.device)
+        self.transform_optimizer = th.optim.Adam(
+            transform.parameters(), lr=self.transform_learning_rate
         )
 
-    def _log_imitation(self) -> None:
-        super()._log_imitation()
+    def _report(self, stats: dict[str, float]) -> None:
+        super()._report(stats)
         if isinstance(self.transform_net, AffineTransform):
-            with th.no_grad():
-                for name, values in self.transform_net.named_parameters():
-                    for i, entry in enumerate(values.tolist()):
-                        self.logger.record(f"transform/{name}_{i}", entry, exclude="stdout")
+            for name, values in self.transform_net.named_parameters():
+                for i, entry in enumerate(values.tolist()):
+                    self.logger.record(f"transform/{name}_{i}", entry, exclude="stdout")

@@ -1,14 +1,24 @@
-"""Torch modules and Adam optimizers as flat dictionaries of named NumPy arrays, and back."""
+"""Torch modules and Adam optimizers as named NumPy arrays, policies as files, and back."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from torch import nn
 
-from silem.util.errors import SilemError
+from silem.algorithms.networks import RunningNormalizer
+from silem.util import files
+from silem.util.errors import SilemError, choose
 
+_ACTIVATIONS = {made.__name__: made for made in (nn.Tanh, nn.ReLU, nn.ELU, nn.SiLU, nn.GELU)}
+_OF_A_RUN = {"activation": "Tanh", "low": "-1", "high": "1"}  # what a run's file need not say
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
@@ -76,3 +86,75 @@ def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray])
             )
         if not np.isfinite(arrays[name]).all():
             raise SilemError(f"saved state: {name} holds NaN or infinity")
+
+
+def export_policy(policy: object, path: Path) -> None:
+    """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
+    try:
+        assert type(policy) is ActorCriticPolicy
+        assert policy.share_features_extractor and not policy.use_sde
+        space = policy.action_space
+        about = {"activation": policy.activation_fn.__name__}
+        if isinstance(space, spaces.Box):
+            low, high = (" ".join(map(repr, x.ravel().tolist())) for x in (space.low, space.high))
+            about |= {"low": low, "high": high}
+        arrays = collect({"policy": policy}, {})
+        again = _rebuilt(arrays, about)
+        assert again.action_space.shape == space.shape
+        assert again.observation_space.shape == policy.observation_space.shape
+        assert isinstance(policy.observation_space, spaces.Box)
+    except (AssertionError, LookupError, SilemError) as error:
+        raise SilemError(
+            "only a multi-layer perceptron from a flat Box of observations, with one of the"
+            f" activations {', '.join(_ACTIVATIONS)}, to a flat Box of actions or to Discrete ones"
+            " can be exported; `save` keeps any policy, as a pickle"
+        ) from error
+    files.write_tensors(path, arrays, about)
+
+
+def load_policy(path: Path | str) -> ActorCriticPolicy:
+    """Return a policy that ``export_policy`` wrote, or a run's ``policy.safetensors``.
+
+    Such a file holds numbers alone, no code: a stranger's is safe to load. The policy is
+    stable-baselines3's: it has ``predict``, needs no environment, and goes on learning as the
+    ``policy`` of a ``PPO``, stable-baselines3's own or this package's.
+
+    Raises:
+        SilemError: The file is missing, damaged or no policy.
+    """
+    arrays, about = files.read_tensors(Path(path))
+    try:
+        return _rebuilt(arrays, about if "activation" in about else _OF_A_RUN)
+    except (LookupError, ValueError) as error:
+        raise SilemError(f"{path} holds no policy: {error}") from error
+
+
+def _rebuilt(arrays: Mapping[str, np.ndarray], about: Mapping[str, str]) -> ActorCriticPolicy:
+    """Build the policy whose arrays these are; their shapes tell the networks'."""
+
+    def layers(net: str) -> list[np.ndarray]:
+        found = re.compile(rf"policy/mlp_extractor\.{net}_net\.(\d+)\.weight").fullmatch
+        weights = {int(match[1]): arrays[name] for name in arrays if (match := found(name))}
+        return [weights[i] for i in sorted(weights)]
+
+    n_actions, n_last = arrays["policy/action_net.weight"].shape
+    hidden = {"pi": layers("policy"), "vf": layers("value")}
+    first = hidden["pi"][0].shape[1] if hidden["pi"] else n_last
+    action_space: spaces.Discrete | spaces.Box = spaces.Discrete(n_actions)
+    if "policy/log_std" in arrays:
+        bounds = [np.array(about[name].split(), np.float32) for name in ("low", "high")]
+        low, high = (np.broadcast_to(bound, n_actions).copy() for bound in bounds)
+        action_space = spaces.Box(low, high)
+    normalised = "policy/features_extractor.mean" in arrays
+    with th.random.fork_rng(devices=[]):  # what the weights begin as does not matter
+        policy = ActorCriticPolicy(
+            spaces.Box(-np.inf, np.inf, (first,)),
+            action_space,
+            lr_schedule=lambda _: 0.0,
+            net_arch={name: [len(weight) for weight in net] for name, net in hidden.items()},
+            activation_fn=_ACTIVATIONS[choose("activation", about["activation"], _ACTIVATIONS)],
+            features_extractor_class=RunningNormalizer if normalised else FlattenExtractor,
+        )
+    restore({"policy": policy}, {}, arrays)
+    policy.set_training_mode(False)
+    return policy

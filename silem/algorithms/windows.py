@@ -6,9 +6,16 @@ first windows of an episode repeat its first state until there are enough states
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
 from silem.util.errors import SilemError
+
+INFO_KEY = "skeletal_features"
 
 
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
@@ -31,6 +38,127 @@ def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
     last = np.arange(1, len(features))
     states = last[:, None] + np.arange(1 - window, 1)[None, :]
     return features[np.maximum(states, 0)]
+
+
+def marked(windows: np.ndarray) -> np.ndarray:
+    """Return windows (..., F) with one feature more, 0: no state of theirs is absorbing."""
+    return np.concatenate([windows, np.zeros_like(windows[..., :1])], axis=-1)
+
+
+def absorbing_windows(last: np.ndarray) -> np.ndarray:
+    """Return the windows of an episode that has ended, and stays in the absorbing state.
+
+    That state has no features but a mark that tells it from all others (Kostrikov et al., 2019).
+
+    Args:
+        last: The window (W, F) that ends at the terminal state, not yet marked.
+
+    Returns:
+        Windows (W, W, F + 1); row k ends k + 1 states after the terminal one, and the last row
+        holds the absorbing state alone, as all windows after it would.
+    """
+    window, n_features = last.shape
+    absorbing = np.zeros((window, n_features + 1), dtype=last.dtype)
+    absorbing[:, -1] = 1.0
+    states = np.concatenate([marked(last), absorbing])
+    return np.stack([states[k : k + window] for k in range(1, window + 1)])
+
+
+class LearnerFeatures:
+    """g for the learner: its observation, or what the environment's ``info`` holds beside it.
+
+    Environments that supply ``info["skeletal_features"]`` (F,) from ``reset`` and ``step`` have a
+    g of their own; for all others g is the identity. Which of the two holds is decided at the
+    first reset, for all environments and for good.
+
+    Args:
+        n_features: F of the demonstrations, which the learner's must equal.
+    """
+
+    def __init__(self, n_features: int) -> None:
+        self.n_features = n_features
+        self._in_infos: bool | None = None
+
+    def first(self, env: VecEnv, observations: Any) -> np.ndarray:
+        """Return the features (E, F) of the states the environments are in after a reset.
+
+        Raises:
+            SilemError: Features are of another width, come from some environments or calls only,
+                or there are none: observations that are no arrays, or that change by themselves.
+        """
+        infos = env.unwrapped.reset_infos
+        if self._in_infos is None:
+            self._in_infos = any(INFO_KEY in info for info in infos)
+            if not self._in_infos:
+                _check_observations(env)
+        return self._read(observations, infos, "reset", range(env.num_envs))
+
+    def reached(
+        self, env: VecEnv, observations: Any, dones: np.ndarray, infos: list[dict[str, Any]]
+    ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+        """Return the features a step led to.
+
+        Args:
+            env: The environments.
+            observations: What they returned, (E, O): a new episode's first where one ended.
+            dones: Which episodes ended, (E,).
+            infos: Their infos.
+
+        Returns:
+            Features (E, F) of the states reached, terminal ones included, and per environment
+            whose episode ended the features (F,) of the new episode's first state.
+
+        Raises:
+            SilemError: As for :meth:`first`.
+        """
+        ended = np.flatnonzero(dones).tolist()
+        terminal = observations
+        if ended and not self._in_infos:
+            terminal = np.array(observations)
+            for i in ended:
+                terminal[i] = infos[i]["terminal_observation"]
+        reached = self._read(terminal, infos, "step", range(len(dones)))
+        if not ended:
+            return reached, {}
+        first = self._read(observations, env.unwrapped.reset_infos, "reset", ended)
+        return reached, dict(zip(ended, first, strict=True))
+
+    def _read(self, observations: Any, infos: Any, call: str, which: Sequence[int]) -> np.ndarray:
+        """Return the features (len(which), F) of some environments."""
+        for i in which:
+            if (INFO_KEY in infos[i]) != self._in_infos:
+                has = "lacks" if self._in_infos else "supplies"
+                raise SilemError(
+                    f"environment {i} {has} info[{INFO_KEY!r}] at {call}, unlike at the first"
+                    " reset; every environment must supply it from both reset and step, or none"
+                )
+        rows = [infos[i][INFO_KEY] if self._in_infos else observations[i] for i in which]
+        try:
+            features = np.array(rows, dtype=np.float32).reshape(len(which), -1)
+        except (TypeError, ValueError) as error:
+            raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
+        if features.shape[1] != self.n_features:
+            raise SilemError(
+                f"the demonstrations have {self.n_features} features per state, the learner's "
+                f"environment supplies {features.shape[1]}; both need the same features g(s)"
+            )
+        return features
+
+
+def _check_observations(env: VecEnv) -> None:
+    """Raise SilemError unless the observations can serve as features."""
+    if isinstance(env.observation_space, spaces.Dict):
+        raise SilemError(
+            "a dictionary of observations is no vector of features; the environment must supply"
+            f" info[{INFO_KEY!r}] from reset and step"
+        )
+    wrapper = unwrap_vec_normalize(env)
+    if wrapper is not None and wrapper.norm_obs:
+        raise SilemError(
+            "VecNormalize changes the observations that are compared with the demonstrations as"
+            " it goes; leave it away or pass it norm_obs=False (the policy normalises its"
+            f" observations itself), or have the environment supply info[{INFO_KEY!r}]"
+        )
 
 
 class WindowTracker:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ import pandas as pd
 
 from silem import bodies
 from silem.report.validation import validate
+from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.demonstrate import experts
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
@@ -45,9 +48,10 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     Returns:
         One row per run with `COLUMNS`. ``return_mean`` is the ground-truth return over the
         evaluation episodes; ``normalised`` divides it by ``expert_return``, the mean return of the
-        same body's PPO experts in the table (paper, Figure 2), and is NaN where there is none or
-        where it is not positive, so that a ratio would mean nothing; ``disc_reward`` is the
-        discriminator's reward of an episode; ``planned_iterations`` are those of the study's plan.
+        same body's PPO experts (paper, Figure 2), which another study may have trained, and is NaN
+        where there is none or where it is not positive, so that a ratio would mean nothing;
+        ``disc_reward`` is the discriminator's reward of an episode; ``planned_iterations`` are
+        those of the study's plan.
         ``attrs`` holds ``study``, ``budget``, ``missing`` (a list of dicts with `KEYS`, ``run_id``
         and ``command``) and ``set_aside`` (run ids).
 
@@ -55,44 +59,33 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
     """
     choose("budget", budget, BUDGETS)
-    chosen, others, set_aside = _sorted_out(study, budget)
-    plans = [config for config in study_configs(study, budget) if not _is_copy(config)]
-    done = {plan.run_id for _, plan in chosen}
-    missing = [plan for plan in plans if plan.run_id not in done]
-    for plan in missing:
-        if stand_ins := others.pop(plan.run_id, []):
-            *passed_over, longest = sorted(stand_ins, key=_n_iterations)
-            chosen.append((longest, plan))
-            set_aside += [record.run_id for record in passed_over]
-    set_aside += [record.run_id for records in others.values() for record in records]
-    rows = [_row(record, plan) for record, plan in chosen]
-    frame = pd.DataFrame(rows, columns=COLUMNS).astype({"stand_in": bool})
-    frame = _with_scores(frame.sort_values(KEYS, key=_order).reset_index(drop=True))
-    frame.attrs = {"study": study, "budget": budget, "missing": [_keys(plan) for plan in missing]}
-    frame.attrs["set_aside"] = set_aside
-    return frame
-
-
-def _sorted_out(
-    study: str, budget: str
-) -> tuple[list[tuple[RunRecord, RunConfig]], dict[str, list[RunRecord]], list[str]]:
-    """Sort a study's records by the plan.
-
-    Returns:
-        The planned runs with their plans; those of another number of iterations by the planned
-        run's id; and the ids of the runs that are neither.
-    """
-    exact, others, set_aside = [], dict[str, list[RunRecord]](), []
+    plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    exact: list[tuple[RunRecord, RunConfig]] = []
+    others: dict[str, list[RunRecord]] = {}  # of another number of iterations, by the plan's id
+    set_aside = []
     for record in _records(study, budget):
         config = record.run_config()
-        plan = _plan(config, study, budget)
+        plan = _plan(config, plans)
         if plan is None:
             set_aside += [] if _is_copy(config) else [record.run_id]
         elif plan.run_id == record.run_id:
             exact.append((record, plan))
         else:
             others.setdefault(plan.run_id, []).append(record)
-    return exact, others, set_aside
+    done = {plan.run_id for _, plan in exact}
+    missing = [plan for plan in plans if plan.run_id not in done]
+    for plan in missing:
+        if stand_ins := sorted(others.pop(plan.run_id, []), key=_n_iterations):
+            exact.append((stand_ins.pop(), plan))
+            set_aside += [record.run_id for record in stand_ins]
+    set_aside += [record.run_id for records in others.values() for record in records]
+    rows = [_row(record, plan) for record, plan in exact]
+    frame = pd.DataFrame(rows, columns=COLUMNS).astype({"stand_in": bool})
+    frame = frame.sort_values(KEYS, key=_order).reset_index(drop=True)
+    frame = _with_scores(frame, study, budget)
+    frame.attrs = {"study": study, "budget": budget, "missing": [_keys(plan) for plan in missing]}
+    frame.attrs["set_aside"] = set_aside
+    return frame
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
@@ -122,16 +115,19 @@ def _is_copy(config: RunConfig) -> bool:
     return config.method == "random" and config.seed != TRIAL_SEEDS[0]
 
 
-def _plan(config: RunConfig, study: str, budget: str) -> RunConfig | None:
-    """Return the planned run that a run is, whatever its number of iterations; None for others."""
-    if _is_copy(config) or (BUDGETS[budget].is_evidence and config.seed not in TRIAL_SEEDS):
+def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
+    """Return the planned run that a run is, whatever its number of iterations; None for others.
+
+    Where runs are no evidence, their seeds need not be planned.
+    """
+    if _is_copy(config):
         return None
-    for cell in cells(study):
-        if (cell.method, cell.body) == (config.method, config.body):
-            plan = cell.config(budget, config.seed)
+    for plan in plans:
+        if (plan.method, plan.body) == (config.method, config.body):
+            if not plan.budget.is_evidence:
+                plan = dataclasses.replace(plan, seed=config.seed)
             resized = plan.budget.with_iterations(config.budget.n_iterations)
-            other = dataclasses.replace(plan, budget=resized)
-            if config.run_id in (plan.run_id, other.run_id):
+            if config.run_id in (plan.run_id, dataclasses.replace(plan, budget=resized).run_id):
                 return plan
     return None
 
@@ -174,13 +170,23 @@ def _keys(config: RunConfig) -> dict[str, Any]:
     }
 
 
-def _with_scores(frame: pd.DataFrame) -> pd.DataFrame:
-    experts = frame[(frame["method"] == "ppo") & ~frame["stand_in"]]
-    level = experts.groupby("body")["return_mean"].mean()
+def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
+    if any(cell.method == "ppo" for cell in cells(study)):
+        trained = frame[(frame["method"] == "ppo") & ~frame["stand_in"]]
+        level = trained.groupby("body")["return_mean"].mean()
+    else:
+        level = pd.Series({body: _expert_level(body, budget) for body in frame["body"].unique()})
     expert_return = frame["body"].map(level).astype(float)
     normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)
     disc_reward = frame["disc_reward"].astype(float)
     return frame.assign(expert_return=expert_return, normalised=normalised, disc_reward=disc_reward)
+
+
+def _expert_level(body: str, budget: str) -> float:
+    """Return the mean return of a body's experts, which another study trains."""
+    found = [runs.find(config.run_id) for config in experts(body, budget)]
+    returns = [record.evaluation["return_mean"] for record in found if record is not None]
+    return sum(returns) / len(returns) if returns else math.nan
 
 
 def _order(column: pd.Series) -> pd.Series:

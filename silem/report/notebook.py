@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from IPython.display import HTML, SVG, display
+from IPython.display import HTML, SVG, Markdown, display
 from IPython.display import Image as DisplayedImage
 from matplotlib.figure import Figure
 from myst_nb import glue
@@ -27,7 +27,7 @@ from silem.study.record import POLICY
 
 __all__ = [
     "film", "literal_assignments", "parameters", "play", "play_first_trials", "say", "show",
-    "show_picture", "table",
+    "show_picture", "table", "text",
 ]  # fmt: skip
 
 
@@ -65,13 +65,15 @@ def _cell(value: Any, digits: int | None) -> str:
     return tables.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
 
 
-def play(clip: Clip, caption: str) -> None:
+def play(clip: Clip | None, caption: str) -> None:
     """Embed a clip as a video that needs neither a network nor a file beside the page.
 
     Args:
-        clip: The clip; it plays at the speed of the simulation.
+        clip: The clip; it plays at the speed of the simulation. None says that there is none yet.
         caption: What it shows, as plain text.
     """
+    if clip is None:
+        return _note(f"No video ({caption}): no run with a policy has been published yet.")
     height, width = clip.frames.shape[1:3]
     poster = base64.b64encode(encode_png(clip.frames[0])).decode()
     video = base64.b64encode(encode_mp4(clip)).decode()
@@ -134,6 +136,11 @@ def play_first_trials(
         labels = list(clips)
         clip = side_by_side(list(clips.values()), labels) if len(clips) > 1 else clips[labels[0]]
         play(clip, f"{body}, first trial, in real time: {' | '.join(labels)}")
+
+
+def text(words: str) -> None:
+    """Show sentences that were made from records, in Markdown."""
+    _display(Markdown(words))  # type: ignore[no-untyped-call]
 
 
 def _note(text: str) -> None:

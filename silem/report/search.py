@@ -1,8 +1,7 @@
-"""The search for the hyper-parameters that the paper leaves open, as it was recorded.
+"""Page "How the open settings were found": the search's runs, T's travel, and the search before.
 
-``data/search/<family>.json`` holds one entry per exploratory run: its name, what was set, and its
-learning curve in means over a few iterations, which end at the ``iteration`` of their row.
-Exploratory runs chose the settings; no result rests on them.
+The search is the study "open-settings". What was tried before it was recorded as curves in
+``data/search``, one entry per exploratory run; it is history, and no result rests on it.
 """
 
 from __future__ import annotations
@@ -11,79 +10,271 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.transforms import ScaledTranslation
+from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from silem import bodies
 from silem.report import results, style, tables
+from silem.report.figures import sources
+from silem.study.config import RunConfig
+from silem.study.record import TRANSFORM
+from silem.study.settings import BUDGETS, HyperParameters
+from silem.study.studies import cells, seeds_of
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
-_SHARED = {
-    "gradient_penalty": "gradient penalty",
+NEAR_BEST = 0.02
+"""Settings whose score is within this share of the best are as good; the nearer to the paper's, or
+to the default, is taken (`silem.study.studies`)."""
+
+_NAMES = {
+    "disc_learning_rate": "rate of D",
     "transform_learning_rate": "rate of T",
-    "schedule": "iterations planned",
+    "gradient_penalty": "gradient penalty",
+    "transform_l2_scale": "L2 on A",
+    "transform_l2_bias": "L2 on b",
+    "transform_l2_form": "L2",
+    "disc_entropy_coef": "entropy bonus",
+    "learning_rate": "rate of PPO",
+    "clip_range": "clip range",
+    "passes": "epochs × minibatch",
+    "log_std_init": "first std",
+    "starts": "starts",
 }
-SETTINGS = {
-    "halfcheetah": {"disc_learning_rate": "rate of D"} | _SHARED,
-    "humanoids": {
-        "learning_rate": "rate of PPO",
-        "clip_range": "clip range",
-        "passes": "epochs × minibatch",
-        "log_std_init": "first std",
-        "starts": "starts",
-    }
-    | _SHARED,
-}
-"""What the exploratory runs of each family varied, with its heading."""
-
-QUANTITIES = {
-    "return_mean": "return of an episode",
-    "episode_length": "steps before a fall",
-    "speed_m_s": "forward speed (m/s)",
-    "disc_reward": "discriminator reward",
-}
-"""What the curves hold; a runner's episode has no fall."""
-
-_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-_DASHES: tuple[Any, ...] = (
-    "-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (9, 3)), (0, (3, 1, 1, 1, 1, 1)),
-)  # fmt: skip
-_LAST = {
-    "return_mean": ("return", 0),
+_QUANTITIES = {
+    "return_mean": ("return of an episode", 0),
     "episode_length": ("steps before a fall", 0),
-    "speed_m_s": ("speed (m/s)", 2),
-    "disc_reward": ("reward of D", 0),
+    "speed_m_s": ("forward speed (m/s)", 2),
+    "disc_reward": ("discriminator reward", 0),
 }
+
+
+# ---------------------------------------------------------------- the study
+
+
+def settings(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what the search tried, a row for each method and setting, in the plan's order.
+
+    Columns are ``method``, ``setting`` (in words), ``in_use`` (it is what the study has now), a
+    body's mean score each, ``score`` (their mean, NaN while a body's run is missing) and ``near``
+    (within `NEAR_BEST` of the method's best).
+
+    Args:
+        frame: Runs of the study "open-settings" at one budget.
+    """
+    study, budget = results.context(frame)
+    score = frame.set_index("run_id")["normalised"]
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for cell in cells(study):
+        configs = [cell.config(budget, seed) for seed in seeds_of(study, BUDGETS[budget])]
+        key = cell.method, _in_words(cell.overrides)
+        usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
+        row = rows.setdefault(key, {"in_use": configs[0].hyper == usual})
+        row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
+    table = pd.DataFrame(
+        [dict(zip(("method", "setting"), key, strict=True)) | row for key, row in rows.items()]
+    )
+    names = results.body_names(frame)
+    table["score"] = table[names].mean(axis=1, skipna=False)
+    best = table.groupby("method")["score"].transform("max")
+    return table.assign(near=table["score"] >= best - NEAR_BEST * best.abs())
+
+
+def _in_words(overrides: Sequence[tuple[str, Any]]) -> str:
+    return ", ".join(
+        f"{_NAMES.get(name, name)} {_written(name, value)}" for name, value in overrides
+    )
+
+
+def found(frame: pd.DataFrame) -> Figure:
+    """Draw the score of every setting on each body, and their mean, by which it is judged.
+
+    The best of a method is bold, with those within `NEAR_BEST` of it; an arrow marks what the study
+    has now. A setting without runs is there all the same.
+
+    Args:
+        frame: Runs of the study "open-settings" at one budget.
+    """
+    table, names = settings(frame), results.body_names(frame)
+    methods = list(dict.fromkeys(table["method"]))
+    counts = [int((table["method"] == method).sum()) for method in methods]
+    with style.applied():
+        figure, grid = style.new_figure(
+            0.24 * sum(counts) + 0.45 * len(methods) + 1.1, nrows=len(methods), sharex=True,
+            squeeze=False, gridspec_kw={"height_ratios": counts},
+        )  # fmt: skip
+        for axes, method in zip(grid[:, 0], methods, strict=True):
+            shown = table[table["method"] == method].reset_index(drop=True)
+            for index, body in enumerate(names):
+                color = style.body_color(index, len(names))
+                axes.plot(shown[body], shown.index, "os"[index % 2], ms=5, color=color, alpha=0.8)
+            axes.plot(shown["score"], shown.index, "|", ms=13, mew=2.4, color=style.INK)
+            for row in shown[shown[names].isna().all(axis=1)].index:
+                axes.text(
+                    0.02, row, "no run", transform=axes.get_yaxis_transform(), va="center",
+                    fontsize=8, color=style.MUTED,
+                )  # fmt: skip
+            arrows = shown["in_use"].map({True: "→ ", False: ""})
+            labels = (arrows + shown["setting"]).tolist()
+            axes.set_yticks(shown.index, labels)
+            for label, near in zip(axes.get_yticklabels(), shown["near"], strict=True):
+                label.set_fontweight("bold" if near else "normal")
+            axes.set(title=style.method(method).label, ylim=(len(shown) - 0.4, -0.6))
+            axes.grid(axis="x")
+            axes.update_datalim([(0, 0), (1, 0)])
+            axes.autoscale_view(scaley=False)
+        axes.set_xlabel("score (1: the mean of the body's own PPO experts)")
+        looks: list[dict[str, Any]] = [
+            {"marker": "os"[i % 2], "color": style.body_color(i, len(names)), "label": name}
+            for i, name in enumerate(names)
+        ]
+        looks.append({"marker": "|", "ms": 13, "mew": 2.4, "color": style.INK, "label": "mean"})
+        handles = [Line2D([], [], ls="none", **look) for look in looks]
+        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
+        near = f"{100 * NEAR_BEST:g} %"
+        sources.footer(figure, frame, f"bold: best, or within {near} of it; →: in the study now")
+    return figure
+
+
+def says(frame: pd.DataFrame) -> str:
+    """Say of each method which setting is the best so far, and what it gains on the one in use."""
+    sentences = []
+    for method, tried in settings(frame).groupby("method", sort=False):
+        name, known = _label("HC1", str(method)), tried.dropna(subset=["score"])
+        text = f"{name}: {len(known)} of {len(tried)} settings have their runs on both bodies"
+        if len(known):
+            best = known.loc[known["score"].idxmax()]
+            text += f"; the best is {best['setting']}, {tables.number(best['score'], 2)}"
+            used = known.loc[known["in_use"], "score"]
+            if len(used) and not best["in_use"]:
+                text += f" ({tables.number(used.max(), 2)} in use)"
+        sentences.append(f"{text}.")
+    return " ".join(sentences)
+
+
+def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
+    """Return how far T's entries can go: Adam's steps are about as long as its rate.
+
+    The rate is multiplied by d after each iteration, and an iteration makes N_G steps.
+    """
+    iterations = np.arange(n_iterations)
+    rates = hyper.transform_learning_rate * hyper.transform_lr_decay**iterations
+    return float(hyper.n_transform_updates * rates.sum())
+
+
+def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return how far the transforms of some runs went, a row each.
+
+    Columns are ``run_id``, ``body``, ``allowed`` (`travel_allowed`), ``A`` and ``b``: the largest
+    distances of an entry of A from 1 and of b from 0.
+
+    Args:
+        frames: Tables of runs; those without an affine transform are passed over.
+    """
+    rows = []
+    for run_id in pd.concat([frame["run_id"] for frame in frames]).unique():
+        record = results.find(run_id)
+        if TRANSFORM in record.files:
+            config, arrays = record.run_config(), results.load_transform(run_id)
+            allowed = travel_allowed(config.hyper, config.budget.n_iterations)
+            largest = {"A": np.abs(arrays["A"] - 1).max(), "b": np.abs(arrays["b"]).max()}
+            rows.append({"run_id": run_id, "body": config.body, "allowed": allowed} | largest)
+    return pd.DataFrame(rows, columns=["run_id", "body", "allowed", "A", "b"])
+
+
+def travel_says(table: pd.DataFrame) -> str:
+    """Say how many transforms went to where their rate lets them, within a tenth."""
+    if table.empty:
+        return "No run with an affine transform has been published at this budget yet."
+    largest = table[["A", "b"]].max(axis=1) / table["allowed"]
+    return (
+        f"Of {len(table)} transforms {int((largest > 0.9).sum())} went to their bound, or within a"
+        f" tenth of it; the median of the largest entries lies at"
+        f" {tables.number(100 * largest.median())} % of it."
+    )
+
+
+def draw_travel(table: pd.DataFrame) -> Figure:
+    """Draw the largest entry of A - 1 and of b of each run against what T's rate allows."""
+    names = [name for name in bodies.names() if name in set(table["body"])]
+    with style.applied():
+        figure, panels = style.new_figure(3.3, ncols=2, sharex=True, sharey=True)
+        values = table[["allowed", "A", "b"]].to_numpy(dtype=float)
+        low = 10 ** np.floor(np.log10(values.min(initial=0.5)))
+        high = 10 ** np.ceil(np.log10(values.max(initial=0.5)))
+        for axes, entry, title in zip(
+            panels, ("A", "b"), ("largest |A − 1|", "largest |b|"), strict=True
+        ):
+            axes.plot([low, high], [low, high], color=style.MUTED, lw=1, ls=(0, (4, 3)))
+            for index, body in enumerate(names):
+                runs = table[table["body"] == body]
+                axes.plot(
+                    runs["allowed"], runs[entry], "os^"[index % 3], ms=5, mec="white", mew=0.5,
+                    color=style.body_color(index, len(names)),
+                    label=f"{body}, {len(runs)} run{'s' if len(runs) > 1 else ''}",
+                )  # fmt: skip
+            axes.set(xscale="log", yscale="log", title=title, xlabel="rate of T × its steps")
+            axes.set(xlim=(low / 1.2, high * 1.2), ylim=(low / 1.2, high * 1.2))
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(NullFormatter())
+            axes.grid(axis="x")
+        if names:
+            handles, labels = panels[0].get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside upper left", ncols=4)
+        style.footer(figure, f"{len(table)} runs with an affine transform; dashed: equal")
+    return figure
+
+
+def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
+    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text.
+
+    Args:
+        penalised: Runs of the study "halfcheetah" (`results.load_records`).
+        unpenalised: Runs of the study "no-gradient-penalty" at the same budget.
+    """
+    compared = {"return_mean": ("return", 0), "disc_reward": ("reward of D", 0)}
+    compared["speed_m_s"] = ("speed (m/s)", 2)
+    rows = []
+    for body in results.body_names(unpenalised):
+        for method in ("silem", "silem-minus"):
+            for penalty, frame in (("yes", penalised), ("no", unpenalised)):
+                runs = results.cell(frame, method, body)
+                row = {"body": body, "method": _label(body, method), "penalty": penalty}
+                row["trials"] = str(len(runs)) if len(runs) else "no run"
+                for column, (heading, digits) in compared.items():
+                    row[heading] = tables.number(runs[column].mean(), digits)
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+# ---------------------------------------------------------------- the history
 
 
 def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
-    """Return the exploratory runs, one row each, with their curve as a DataFrame.
+    """Return the exploratory runs of ``data/search``, one row each, with their curve.
 
     Args:
-        family: A key of `SETTINGS`.
+        family: "halfcheetah" or "humanoids".
         method: Keep this method's runs alone.
 
     Raises:
         SilemError: The family is unknown, the file is missing, or an entry lacks something.
     """
-    settings = SETTINGS[choose("family", family, SETTINGS)]
+    choose("family", family, ("halfcheetah", "humanoids"))
     path = paths.REPO / "data" / "search" / f"{family}.json"
     rows = []
     for entry in files.read_json(path):
-        if "n_epochs" in entry:
-            entry["passes"] = f"{entry['n_epochs']} × {entry['minibatch_size']}"
-        wanted = {"name", "body", "method", "columns", "rows", *settings}
-        if missing := wanted - entry.keys():
+        if missing := {"name", "body", "method", "schedule", "columns", "rows"} - entry.keys():
             raise SilemError(f"{path.name}: an entry lacks {', '.join(sorted(missing))}")
-        curve = pd.DataFrame(entry["rows"], columns=entry["columns"]).astype(float)
-        values = {key: entry[key] for key in ("name", "body", "method", *settings)}
-        rows.append(values | {"curve": curve})
-    frame = pd.DataFrame([row for row in rows if method in (None, row["method"])])
-    frame.attrs["settings"] = settings
-    return frame
+        if "n_epochs" in entry:
+            entry["passes"] = f"{entry.pop('n_epochs')} × {entry.pop('minibatch_size')}"
+        curve = pd.DataFrame(entry.pop("rows"), columns=entry.pop("columns")).astype(float)
+        rows.append(entry | {"curve": curve})
+    return pd.DataFrame([row for row in rows if method in (None, row["method"])])
 
 
 def prototype() -> pd.DataFrame:
@@ -110,109 +301,44 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     ordered = frame.join(last).sort_values(
         ["body", "method", "return_mean"], ascending=[True, True, False]
     )
-    varied = [n for n in frame.attrs["settings"] if n != "schedule" and _varies(frame[n])]
+    varied = [name for name in _NAMES if name in frame and frame[name].nunique() > 1]
     rows = []
     for run in ordered.to_dict("records"):
-        names = {"body": run["body"], "method": _label(run["body"], run["method"])}
-        row = {name: text for name, text in names.items() if _varies(frame[name])}
-        row |= {frame.attrs["settings"][name]: _written(name, run[name]) for name in varied}
+        row = {
+            "run": run["name"],
+            "body": run["body"],
+            "method": _label(run["body"], run["method"]),
+        }
+        row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
-        for name, (heading, digits) in _LAST.items():
-            if last.get(name, pd.Series()).notna().any():
+        for name, (heading, digits) in _QUANTITIES.items():
+            if name in last and last[name].notna().any():
                 row[heading] = tables.number(run[name], digits)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def curves(
-    frame: pd.DataFrame, quantities: Sequence[str] = ("return_mean",), colored: str = "method"
-) -> Figure:
-    """Draw the exploratory runs over iterations: a row per quantity, a column per body.
-
-    The legend names a run by what is set otherwise than in most of them; those settings stand
-    below the figure.
-
-    Args:
-        frame: Runs of `load`.
-        quantities: Keys of `QUANTITIES`.
-        colored: The column by whose values the lines are coloured: ``"method"`` or a setting. Runs
-            that share a value differ in their dashes, best return first.
+def curves(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
+    """Draw exploratory runs over iterations, a panel per quantity; `table` says what each set.
 
     Raises:
-        SilemError: There is no such quantity, or no such column.
+        SilemError: There is no such quantity.
     """
-    titles = [QUANTITIES[choose("quantity", name, QUANTITIES)] for name in quantities]
-    usual = _usual(frame, choose("column", colored, ("method", *frame.attrs["settings"])))
-    names = sorted(frame["body"].unique())
-    n_most = int(frame["body"].value_counts().max())
+    titles = [_QUANTITIES[choose("quantity", name, _QUANTITIES)][0] for name in quantities]
     with style.applied():
-        figure, grid = style.new_figure(
-            1.55 * len(quantities) + 0.19 * n_most + 1.2, nrows=len(quantities),
-            ncols=len(names), sharex="col", sharey="row", squeeze=False,
-        )  # fmt: skip
-        for column, body in zip(grid.T, names, strict=True):
-            looks = _looks(frame[frame["body"] == body], colored, usual)
-            column[0].set_title(body)
-            for axes, quantity in zip(column, quantities, strict=True):
-                _panel(axes, looks, quantity)
-            column[-1].set_xlabel("iteration")
-            below = ScaledTranslation(0, -0.42, figure.dpi_scale_trans)
-            column[-1].legend(
-                loc="upper left", bbox_to_anchor=(0, 0), borderaxespad=0, fontsize=8,
-                bbox_transform=column[-1].transAxes + below, handlelength=3.2,
-            )  # fmt: skip
-        for axes, title in zip(grid[:, 0], titles, strict=True):
-            axes.set_ylabel(title)
-        figure.align_ylabels(grid[:, 0])
-        unless = ", ".join(
-            f"{frame.attrs['settings'][k]} {_written(k, v)}" for k, v in usual.items()
+        figure, panels = style.new_figure(
+            3.0 + 0.1 * len(frame), ncols=len(quantities), squeeze=False
         )
-        note = f"{len(frame)} exploratory runs, one seed each; not evidence"
-        style.footer(figure, f"{note}; unless named: {unless}")
+        for axes, quantity, title in zip(panels[0], quantities, titles, strict=True):
+            for index, run in enumerate(frame.itertuples()):
+                known = run.curve[["iteration", quantity]].dropna()
+                look = {"color": f"C{index % 10}", "ls": ("-", (0, (5, 2)))[index // 10 % 2]}
+                axes.plot(known["iteration"], known[quantity], lw=1.3, label=run.name, **look)
+            axes.set(title=title, xlabel="iteration")
+        handles, labels = panels[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=3, fontsize=8)
+        style.footer(figure, f"{len(frame)} exploratory runs, one seed each; not evidence")
     return figure
-
-
-def _varies(values: pd.Series) -> bool:
-    return values.nunique() > 1
-
-
-def _usual(frame: pd.DataFrame, colored: str) -> dict[str, Any]:
-    """Return the settings that vary, each with its most frequent value."""
-    names = [name for name in frame.attrs["settings"] if name != colored and _varies(frame[name])]
-    return {name: frame[name].mode().iloc[0] for name in names}
-
-
-def _looks(
-    runs: pd.DataFrame, colored: str, usual: dict[str, Any]
-) -> list[tuple[pd.DataFrame, dict[str, Any]]]:
-    """Give every run of a body its curve's look."""
-    headings, looks = runs.attrs["settings"], []
-    for index, (value, group) in enumerate(runs.groupby(colored)):
-        first = f"{headings.get(colored)} {_written(colored, value)}"
-        color = _COLORS[index % len(_COLORS)]
-        if colored == "method":
-            color = style.method(str(value)).color
-            first = _label(runs["body"].iloc[0], str(value))
-        ordered = sorted(group.to_dict("records"), key=_last_return, reverse=True)
-        for rank, run in enumerate(ordered):
-            others = [
-                f"{headings[name]} {_written(name, run[name])}"
-                for name, value_of_most in usual.items()
-                if run[name] != value_of_most and pd.notna(run[name])
-            ]
-            line = {"color": color, "ls": _DASHES[rank % len(_DASHES)], "lw": 1.4}
-            looks.append((run["curve"], line | {"label": ", ".join([first, *others])}))
-    return looks
-
-
-def _last_return(run: dict[str, Any]) -> float:
-    return float(run["curve"]["return_mean"].iloc[-1])
-
-
-def _panel(axes: Axes, looks: Sequence[tuple[pd.DataFrame, dict[str, Any]]], quantity: str) -> None:
-    for curve, line in looks:
-        known = curve[["iteration", quantity]].dropna()
-        axes.plot(known["iteration"], known[quantity], **line)
 
 
 def _written(name: str, value: Any) -> str:
@@ -220,36 +346,9 @@ def _written(name: str, value: Any) -> str:
         return value
     if pd.isna(value):
         return tables.DASH
-    return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}"
+    return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}".replace("e-0", "e-")
 
 
 def _label(body: str, method: str) -> str:
     original = "" if bodies.get(body).family == "humanoid" else "HC0"
     return style.method(method, original).label.partition(" (")[0]
-
-
-def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
-    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text.
-
-    Args:
-        penalised: Runs of the study "halfcheetah" (`results.load_records`).
-        unpenalised: Runs of the study "no-gradient-penalty" at the same budget.
-    """
-    rows = []
-    for body in results.body_names(unpenalised):
-        for method in ("silem", "silem-minus"):
-            for name, frame in (("yes", penalised), ("no", unpenalised)):
-                runs = results.cell(frame, method, body)
-                row = {"body": body, "method": _label(body, method), "penalty": name}
-                row["trials"] = str(len(runs)) if len(runs) else "no run"
-                for label, (column, digits) in _COMPARED.items():
-                    mean = runs[column].mean()
-                    row[label] = "–" if pd.isna(mean) else tables.number(mean, digits)
-                rows.append(row)
-    return pd.DataFrame(rows)
-
-
-_COMPARED = {
-    "return": ("return_mean", 0), "reward of D": ("disc_reward", 0),
-    "speed (m/s)": ("speed_m_s", 2),
-}  # fmt: skip

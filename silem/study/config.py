@@ -103,6 +103,25 @@ class RunConfig:
             for name, setting in resolved.items()
         }
 
+    def describe(self) -> str:
+        """Return every value that makes this run, a line each, with where it comes from."""
+        budget = dataclasses.asdict(self.budget)
+        rows = [
+            ("study", self.study, ""),
+            ("body", self.body, bodies.get(self.body).description),
+            ("method", self.method, METHODS[self.method].about),
+            ("demonstrations", self.demonstrations or "none", ""),
+            ("seed", self.seed, ""),
+            *(
+                (name, n, f"budget {budget['name']}")
+                for name, n in budget.items()
+                if name != "name"
+            ),
+            *((name, *setting) for name, setting in self.settings().items()),
+        ]
+        lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
+        return "\n".join([self.run_id, *lines])
+
     @property
     def learner(self) -> Body:
         """The learner's body, as this run's hyper-parameters have it."""

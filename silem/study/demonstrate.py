@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from silem import bodies
+from silem.bodies import BulletBody
 from silem.motion import demonstrations as demos
-from silem.study import runs
+from silem.study import gait, runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
@@ -66,7 +68,8 @@ def demonstrate(
 ) -> Path:
     """Record state-only demonstrations of a finished run's stochastic policy and publish them.
 
-    Failed episodes stay in.
+    Failed episodes stay in; the manifest says how many, and how a runner moves
+    (`silem.study.gait`).
 
     Args:
         record: The expert's run.
@@ -103,4 +106,22 @@ def demonstrate(
         recorded = record_episodes(
             policy, body, n_trajectories, run_id=record.run_id, progress=progress
         )
-        return demos.publish(name, recorded)
+        runner = isinstance(bodies.get(body), BulletBody)
+        return demos.publish(name, recorded, gait.measure(recorded)._asdict() if runner else None)
+
+
+def describe(name: str) -> str:
+    """Say in one line what the manifest knows of demonstrations that an expert made."""
+    about = demos.entry(name)
+    text = (
+        f"{about['n_trajectories']} trajectories of {about['expert_run_id']}, return"
+        f" {about['return_mean']:.0f} ± {about['return_std']:.0f}"
+    )
+    if "pitch_rad" in about:
+        text += (
+            f", worst {about['return_worst']:.0f}, failed and kept: {about['n_failed']};"
+            f" {about['speed_m_s']:.2f} m/s, pitch {about['pitch_rad']:.2f} ±"
+            f" {about['pitch_std_rad']:.2f} rad, a joint at its limit"
+            f" {100 * about['limit_share']:.0f} % of the time"
+        )
+    return text

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from silem import bodies
-from silem.algorithms.features import INFO_KEY, LearnerFeatures
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.windows import episode_windows
+from silem.algorithms.gaifo import GAIfO
+from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
 from silem.motion.demonstrations import Demonstrations
@@ -111,7 +111,7 @@ def episodes(
     over-represented.
 
     Args:
-        policy: What acts. If it has ``reseed``, its random numbers restart from `seed`.
+        policy: What acts. Its random numbers restart from `seed`.
         body: The body, or its name.
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
@@ -132,8 +132,8 @@ def episodes(
     name = body if isinstance(body, str) else body.name
     bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
-        if hasattr(policy, "reseed"):
-            policy.reseed(seeding.child_seed(seed, "policy"))
+        reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
+        reseed(seeding.child_seed(seed, "policy"))
         observations = np.asarray(env.reset())
         first = np.asarray(env.reset_infos[0].get(INFO_KEY, observations[0]))
         of_learner = LearnerFeatures(first.size)
@@ -165,7 +165,7 @@ def evaluate(
     body: Body | str,
     n_episodes: int,
     seed: int = EVALUATION_SEED,
-    model: AdversarialImitation | None = None,
+    model: GAIfO | None = None,
     *,
     progress: bool = False,
 ) -> Evaluation:

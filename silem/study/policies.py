@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from silem import algorithms
 from silem.study.evaluate import Policy, random_policy
 from silem.study.record import POLICY, RunRecord
-from silem.study.training import make_env, make_policy_model
-from silem.util import files
+from silem.study.training import unclipped
 
 
 def load_policy(record: RunRecord) -> Policy:
@@ -17,11 +17,7 @@ def load_policy(record: RunRecord) -> Policy:
     config = record.run_config()
     if config.method == "random":
         return random_policy(config.learner, config.seed, config.hyper.action_std)
-    arrays, _ = files.read_tensors(record.file(POLICY))
-    env = make_env(config)
-    try:
-        model = make_policy_model(config, env)
-    finally:
-        env.close()
-    model.load_policy_arrays(arrays)
-    return model
+    policy = algorithms.load_policy(record.file(POLICY))
+    if not config.hyper.clip_actions:
+        policy.action_space = unclipped(policy.action_space)
+    return policy

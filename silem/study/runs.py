@@ -11,10 +11,8 @@ import numpy as np
 import torch
 
 from silem import bodies
-from silem.algorithms.gaifo import AdversarialImitation
-from silem.algorithms.ppo import PPO
-from silem.algorithms.silem import SILEM
-from silem.algorithms.transforms import AffineTransform
+from silem.algorithms import PPO, SILEM, GAIfO
+from silem.algorithms.networks import AffineTransform
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
@@ -133,7 +131,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     finally:
         env.close()
     training = _training(config, segments)
-    scorer = model if isinstance(model, AdversarialImitation) else None
+    scorer = model if isinstance(model, GAIfO) else None
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 from tqdm import tqdm
 
-from silem.algorithms.ppo import PPO
-from silem.algorithms.silem import SILEM
-from silem.algorithms.tpil import TPIL
+from silem.algorithms import PPO, SILEM, TPIL, GAIfO
+from silem.algorithms.gaifo import SurvivalWarning
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.demonstrations import Demonstrations
@@ -30,7 +30,7 @@ from silem.util.errors import SilemError
 
 PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
-_ALGORITHMS = {"PPO": PPO, "SILEM": SILEM, "TPIL": TPIL, "GAIfO": SILEM}
+_ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 # What a run's hyper-parameters say of its policy, its data and its body; the others are arguments
 # of the algorithm, by the same names.
 _NOT_ITS_OWN = {
@@ -51,9 +51,14 @@ def make_env(config: RunConfig) -> VecEnv:
         options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)
-    if not config.hyper.clip_actions:  # a policy is clipped to its space, here to none
-        env.action_space = spaces.Box(-np.inf, np.inf, env.action_space.shape, np.float32)
+    if not config.hyper.clip_actions:
+        env.action_space = unclipped(env.action_space)
     return env
+
+
+def unclipped(space: spaces.Space[Any]) -> spaces.Box:
+    """Return a space of actions without bounds, to which a policy's actions are not clipped."""
+    return spaces.Box(-np.inf, np.inf, space.shape, np.float32)
 
 
 def arguments(config: RunConfig) -> dict[str, Any]:
@@ -67,8 +72,8 @@ def arguments(config: RunConfig) -> dict[str, Any]:
     """
     used = HyperParameters.names_used_by(config.method)
     own = {name: getattr(config.hyper, name) for name in used if name not in _NOT_ITS_OWN}
-    if METHODS[config.method].algorithm in ("SILEM", "GAIfO"):
-        own["transform"] = config.transform or "identity"
+    if config.transform is not None:
+        own["transform"] = config.transform
     return own | _ppo_arguments(config)
 
 
@@ -280,7 +285,10 @@ def train(
         if remaining:
             # reset_num_timesteps=False: the learning rate decays over the whole budget, and a
             # resumed run goes on where it was.
-            model.learn(remaining, callback=segments, reset_num_timesteps=False)
+            with warnings.catch_warnings():
+                # a run's reward is the paper's; the book tells what it does where episodes end
+                warnings.simplefilter("ignore", SurvivalWarning)
+                model.learn(remaining, callback=segments, reset_num_timesteps=False)
     finally:
         segments.close()
     return segments

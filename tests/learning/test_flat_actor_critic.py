@@ -12,7 +12,8 @@ from stable_baselines3 import PPO as SB3PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 import silem
-from silem.algorithms.fast_mlp import FlatActorCritic, MiniBatch
+from silem.algorithms.fast_mlp import Batch, FlatActorCritic
+from silem.algorithms.networks import RunningNormalizer
 
 CLIP, ENT, VF = 0.2, 0.01, 0.5
 
@@ -23,13 +24,13 @@ def make_policy(dtype: th.dtype) -> th.nn.Module:
     return model.policy.to(dtype)
 
 
-def make_batch(rng: np.random.Generator, dtype: type, size: int = 64) -> MiniBatch:
+def make_batch(rng: np.random.Generator, dtype: type, size: int = 64) -> Batch:
     draw = lambda *shape: rng.standard_normal(shape).astype(dtype)  # noqa: E731
     # old log-probabilities far enough from the present ones for both clip limits to act
-    return MiniBatch(draw(size, 3), draw(size, 1), draw(size) - 1.4, draw(size), draw(size))
+    return Batch(draw(size, 3), draw(size, 1), draw(size) - 1.4, draw(size), draw(size))
 
 
-def torch_gradients(policy: th.nn.Module, batch: MiniBatch) -> list[th.Tensor]:
+def torch_gradients(policy: th.nn.Module, batch: Batch) -> list[th.Tensor]:
     """PPO's loss as stable-baselines3 writes it."""
     tensors = [th.from_numpy(getattr(batch, name)) for name in batch.__dataclass_fields__]
     obs, actions, old_log_probs, advantages, returns = tensors
@@ -44,7 +45,7 @@ def torch_gradients(policy: th.nn.Module, batch: MiniBatch) -> list[th.Tensor]:
     return list(th.autograd.grad(loss, list(policy.parameters())))
 
 
-def flat_gradients(policy: th.nn.Module, batch: MiniBatch) -> tuple[np.ndarray, float]:
+def flat_gradients(policy: th.nn.Module, batch: Batch) -> tuple[np.ndarray, float]:
     flat = FlatActorCritic(policy)
     losses = flat.gradient(batch, CLIP, ENT, VF)
     return flat.grads, losses.clip_fraction
@@ -142,7 +143,7 @@ def test_save_load_predict_and_resume(env_id: str, tmp_path) -> None:
 
 def test_normalizer_equals_the_moments_of_all_it_saw(rng: np.random.Generator) -> None:
     batches = [rng.normal(3.0, 2.0, (n, 4)) for n in (50, 7, 300)]
-    normalizer = silem.algorithms.ppo.RunningNormalizer(gym.spaces.Box(-1, 1, (4,)))
+    normalizer = RunningNormalizer(gym.spaces.Box(-1, 1, (4,)))
     for batch in batches:
         normalizer.update(batch)
     seen = np.concatenate(batches)

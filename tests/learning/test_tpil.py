@@ -13,8 +13,7 @@ from torch.nn import functional as F
 
 from silem import SilemError
 from silem.algorithms import SILEM, TPIL
-from silem.algorithms.gradient_reversal import reverse_gradient
-from silem.algorithms.tpil import ThirdPersonDiscriminator
+from silem.algorithms.networks import ThirdPersonDiscriminator, reverse_gradient
 from silem.study import curve
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
@@ -160,6 +159,7 @@ def test_both_discriminators_are_logged(tmp_path) -> None:
     model = make_model()
     model.set_logger(configure(str(tmp_path), ["csv"]))
     model.learn(512)
+    model.logger.dump(512)  # as of PPO's losses, the last iteration's would come with the next
     model.logger.close()
     last = pd.read_csv(tmp_path / "progress.csv").iloc[-1]
     names = ("disc_loss", "disc_acc_expert", "disc_acc_learner", "domain_loss", "domain_acc")
@@ -230,8 +230,8 @@ def test_unusable_demonstrations_are_refused(demonstrations, message: str) -> No
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (dict(gradient_reversal_coef=-0.1), "0 or more"),
-        (dict(gradient_reversal_coef=float("nan")), "0 or more"),
+        (dict(gradient_reversal_coef=-0.1), "from 0"),
+        (dict(gradient_reversal_coef=float("nan")), "from 0"),
         (dict(disc_hidden=()), "one layer at least"),
     ],
 )

@@ -8,8 +8,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from silem import SILEM, SilemError
-from silem.algorithms.features import LearnerFeatures
-from silem.algorithms.windows import WindowTracker, episode_windows
+from silem.algorithms.windows import LearnerFeatures, WindowTracker, episode_windows
 
 
 def test_episode_windows_by_hand() -> None:
@@ -125,6 +124,7 @@ def test_features_of_ended_episodes_are_the_last_states() -> None:
     env.reset()
     env.envs[1].steps = 1
     of_learner = LearnerFeatures(3)
+    of_learner.first(env, np.zeros((2, 2)))
     observations = np.zeros((2, 2))
     for _ in range(2):
         observations, _, dones, infos = env.step(np.zeros((2, 1)))

@@ -112,6 +112,16 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     assert "18 runs" in words(output(page, "experts-runs"))
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
+    demonstrator = find_demonstrator(frame)
+    assert f"trial {demonstrator}: of the 5 experts" in spoken["demonstrator_rule"]
+    table = words(output(page, "gaits"))
+    assert re.search(r"0 (\(demonstrator\) )?−?[\d,]+ ±", table)  # the one with a policy
+    assert table.count("no run") == 4
+
+
+def find_demonstrator(frame: pd.DataFrame) -> int:
+    """The trial of HC0's expert with the highest return."""
+    return int(results.cell(frame, "ppo", "HC0").set_index("seed")["return_mean"].idxmax())
 
 
 def test_demonstrations(execute: Execute, data_dir: Path) -> None:
@@ -127,6 +137,8 @@ def test_demonstrations(execute: Execute, data_dir: Path) -> None:
     distribution = words(output(page, "distribution"))
     assert all(f"{name} " in distribution for name in feature_names("HC0"))
     assert "HC0 a random policy 20" in words(output(page, "manifest"))
+    assert output(page, "strides").startswith("<svg")
+    assert glue_roles(page) <= said(page).keys()
 
 
 def test_demonstrations_without_an_expert(execute: Execute) -> None:
@@ -210,6 +222,31 @@ def test_scorecard(execute: Execute) -> None:
     assert sum(told) == int(spoken["n_claims"]) == len(claims.of("halfcheetah"))
     table = words(output(page, "scorecard"))
     assert all(claim.text in table for claim in claims.of("halfcheetah"))
+
+
+def test_which_gait_can_be_imitated(execute: Execute) -> None:
+    page = execute("13_demonstrators", n_trajectories=1, video_s=0.1)
+    assert output(page, "imitated").startswith("<svg")
+    assert "20 of the planned runs not made yet" in words(output(page, "imitated-runs"))
+    (cell,) = [cell for cell in page.cells if cell.id == "decided"]
+    told = "".join(cell.outputs[0].data["text/markdown"])
+    assert "**HC1**: not to be told yet" in told
+    assert "No video" in output(page, "video")
+
+
+def test_open_settings(execute: Execute) -> None:
+    page = execute("08_open_settings")
+    spoken = said(page)
+    assert glue_roles(page) <= spoken.keys()
+    assert spoken["near_best"] == "2"
+    transforms = sum(
+        len(results.cell(results.load_records("halfcheetah", "book"), "silem", body))
+        for body in ("HC0", "HC1", "HC2")
+    )
+    assert spoken["travel_says"].startswith(f"Of {transforms} transforms")
+    for cell_id in ("search", "travel", "humanoid-ppo-curves", "humanoid-silem-curves"):
+        assert output(page, cell_id).startswith("<svg")
+    assert "hc2_gp1_1000" in words(output(page, "open-91"))
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
-from drawn import assert_readable, footer, texts
+import synthetic_records as synthetic
+from drawn import assert_readable, footer
 
-from silem.report import search
+from silem.report import results, search
+from silem.study import runs
+from silem.study.config import RunConfig
+from silem.study.studies import cells, study_configs
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
+BODIES = ("HC1", "HC2")
 QUANTITIES = ("return_mean", "episode_length", "speed_m_s")
 
 
@@ -35,10 +44,10 @@ def test_an_entry_that_lacks_something_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entries = files.read_json(paths.REPO / "data" / "search" / "humanoids.json")
-    del entries[3]["starts"]
+    del entries[3]["schedule"]
     files.write_json(tmp_path / "data" / "search" / "humanoids.json", entries)
     monkeypatch.setattr(paths, "REPO", tmp_path)
-    with pytest.raises(SilemError, match=r"humanoids.json: an entry lacks starts"):
+    with pytest.raises(SilemError, match=r"humanoids.json: an entry lacks schedule"):
         search.load("humanoids")
 
 
@@ -57,42 +66,146 @@ def test_one_number_is_read_from_one_curve() -> None:
 def test_a_table_shows_what_was_varied_best_first() -> None:
     table = search.table(search.load("humanoids", "silem"))
     assert "clip range" not in table  # the same in all of them
-    assert not {"body", "method"} & set(table)
-    assert {"gradient penalty", "starts", "reward of D", "steps before a fall"} <= set(table)
-    returns = table["return"].astype(int)
+    assert {"gradient penalty", "starts", "discriminator reward", "steps before a fall"} <= set(
+        table
+    )
+    returns = table["return of an episode"].astype(int)
     assert list(returns) == sorted(returns, reverse=True)
     assert "320 of 2,000" in set(table["iterations"])
-    assert "reward of D" not in search.table(search.load("humanoids", "ppo"))
+    assert "discriminator reward" not in search.table(search.load("humanoids", "ppo"))
     runners = search.table(search.load())
-    assert {"body", "method", "rate of D"} <= set(runners)
+    assert "rate of D" in runners
     assert "steps before a fall" not in runners
+    assert {"SILEM", "SILEM⁻"} == set(runners["method"])
 
 
-def test_curves_name_what_differs_and_say_what_does_not() -> None:
+def test_curves_draw_every_run_in_every_panel_by_the_name_that_the_table_has() -> None:
     frame = search.load("humanoids", "silem")
-    figure = search.curves(frame, QUANTITIES, colored="gradient_penalty")
+    figure = search.curves(frame, QUANTITIES)
     assert len(figure.axes) == len(QUANTITIES)
     for axes in figure.axes:
-        assert len(axes.lines) == len(frame)
-    legend = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
-    assert "gradient penalty 1, starts demonstration" in legend
-    assert "gradient penalty 0.1, rate of PPO 0.0002, iterations planned 1000" in legend
-    assert "unless named: rate of PPO 0.0003" in footer(figure)
+        assert [line.get_label() for line in axes.lines] == list(frame["name"])
+    assert set(search.table(frame)["run"]) == set(frame["name"])
     assert "not evidence" in footer(figure)
-    assert_readable(figure)
-
-
-def test_curves_of_several_bodies_stand_side_by_side() -> None:
-    figure = search.curves(search.load())
-    assert {"HC1", "HC2"} <= set(texts(figure))
-    assert "SILEM⁻" in [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
     assert_readable(figure)
 
 
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(SilemError, match="quantity"):
         search.curves(search.load(), ["disc_loss"])
-    with pytest.raises(SilemError, match="column"):
-        search.curves(search.load(), colored="starts")
     with pytest.raises(SilemError, match="family"):
         search.load("ants")
+
+
+# ---------------------------------------------------------------- the study
+
+
+@pytest.fixture
+def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., pd.DataFrame]:
+    """Write the search's runs with given scores and load them; experts return what they do."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for body in BODIES:
+        synthetic.write_record(RunConfig.create(body, "ppo", budget="book"))
+
+    def run(score: Callable[[RunConfig], float | None]) -> pd.DataFrame:
+        for config in study_configs("open-settings", "book"):
+            value = score(config)
+            if value is not None:
+                level = runs.find(RunConfig.create(config.body, "ppo", budget="book").run_id)
+                assert level is not None
+                goal = value * level.evaluation["return_mean"]
+                synthetic.write_record(config, return_mean=goal)
+        return results.load_records("open-settings", "book")
+
+    return run
+
+
+def rate(config: RunConfig) -> float:
+    return config.hyper.transform_learning_rate
+
+
+def row(table: pd.DataFrame, setting: str) -> pd.Series:
+    return table[table["setting"] == setting].iloc[0]
+
+
+def test_settings_are_judged_by_their_mean_over_both_bodies(write) -> None:
+    def score(config: RunConfig) -> float | None:
+        if config.method == "silem-minus":
+            return None
+        if rate(config) == 3e-4 and config.body == "HC2":
+            return None
+        return {1e-5: 0.2, 3e-5: 0.9, 1e-4: 0.89, 3e-4: 3.0, 1e-3: 0.5}[rate(config)] + (
+            0.1 if config.body == "HC1" else -0.1
+        )
+
+    table = search.settings(write(score))
+    fast = row(table, "rate of T 0.001")
+    assert fast["score"] == pytest.approx(0.5, abs=0.02)
+    assert fast["HC1"] - fast["HC2"] == pytest.approx(0.2, abs=0.03)
+    lone = row(table, "rate of T 0.0003")  # not judged by one body, however high
+    assert lone["HC1"] > 2
+    assert np.isnan(lone["score"])
+    silem = table[table["method"] == "silem"]
+    assert set(silem.loc[silem["near"], "setting"]) == {"rate of T 3e-5", "rate of T 0.0001"}
+    assert not table.loc[table["method"] == "silem-minus", "near"].any()
+    used = table[table["in_use"]]
+    assert set(used["method"]) == {"silem", "silem-minus"}
+    assert row(table, "rate of T 0.0001")["in_use"]
+
+
+def test_the_search_names_the_best_and_what_it_gains(write) -> None:
+    frame = write(lambda c: None if c.method == "silem-minus" else 0.9 if rate(c) == 3e-5 else 0.5)
+    said = search.says(frame)
+    assert (
+        "SILEM: 5 of 5 settings have their runs on both bodies; the best is rate of T 3e-5" in said
+    )
+    assert "0 of 5 settings" in said
+    assert "in use)" in said
+
+
+def test_the_figure_shows_every_setting_tried_or_not(write) -> None:
+    figure = search.found(write(lambda config: 0.5 if config.method == "silem" else None))
+    planned = {cell.overrides for cell in cells("open-settings") if cell.method == "silem"}
+    silem, minus = figure.axes
+    assert len(silem.get_yticklabels()) == len(planned)
+    assert "no run" not in [text.get_text() for text in silem.texts]
+    assert {text.get_text() for text in minus.texts} == {"no run"}
+    assert_readable(figure)
+
+
+def test_without_any_run_the_plan_is_shown(write) -> None:
+    frame = write(lambda config: None)
+    assert_readable(search.found(frame))
+    assert "0 of 5 settings have their runs" in search.says(frame)
+    assert "best" not in search.says(frame)
+
+
+# ---------------------------------------------------------------- the transform's travel
+
+
+def test_the_travel_allowed_is_rate_times_steps_with_decay() -> None:
+    hyper = RunConfig.create("HC1", "silem", transform_lr_decay=0.5, n_transform_updates=3).hyper
+    assert search.travel_allowed(hyper, 3) == pytest.approx(3 * 1e-4 * (1 + 0.5 + 0.25))
+    steady = dataclasses.replace(hyper, transform_lr_decay=1.0)
+    assert search.travel_allowed(steady, 100) == pytest.approx(300 * 1e-4)
+
+
+def test_travel_is_the_largest_entry(write) -> None:
+    frame = write(lambda config: 0.5)
+    table = search.travel([frame])
+    assert len(table) == (frame["method"] == "silem").sum()
+    arrays = results.load_transform(table["run_id"][0])
+    assert table["A"][0] == np.abs(arrays["A"] - 1).max()
+    assert table["b"][0] == np.abs(arrays["b"]).max()
+    assert_readable(search.draw_travel(table))
+
+
+def test_how_many_reached_their_bound_is_told() -> None:
+    table = pd.DataFrame(
+        {"run_id": ["a", "b"], "body": ["HC1", "HC2"], "allowed": [0.3, 0.3],
+         "A": [0.29, 0.06], "b": [0.1, 0.03]}
+    )  # fmt: skip
+    assert "Of 2 transforms 1 went to their bound" in search.travel_says(table)
+    assert "58 % of it" in search.travel_says(table)  # between 97 % and 20 %
+    assert "No run" in search.travel_says(table[:0])
+    assert_readable(search.draw_travel(table[:0]))

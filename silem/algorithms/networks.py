@@ -1,0 +1,279 @@
+"""What learns beside policy and value function: discriminators, transforms, observation moments."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
+from torch.nn import functional as F
+
+from silem.util.errors import SilemError
+
+L2_FORMS = ("deviation", "plain")
+MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
+CLIP = 5.0  # standard deviations that a normalised observation is cut at, ppo1's value
+_EPSILON = 1e-8
+
+
+def _tanh_mlp(n_inputs: int, hidden: Sequence[int], n_outputs: int = 1) -> list[nn.Module]:
+    """Return the layers of a tanh MLP with a linear head."""
+    sizes = [n_inputs, *hidden]
+    layers: list[nn.Module] = []
+    for n_in, n_out in itertools.pairwise(sizes):
+        layers += [nn.Linear(n_in, n_out), nn.Tanh()]
+    return [*layers, nn.Linear(sizes[-1], n_outputs)]
+
+
+class Discriminator(nn.Module):
+    """D, a tanh MLP from a window to one logit; a high logit means "expert".
+
+    Args:
+        n_features: F, features per state.
+        window: W, states per window.
+        hidden: Units of the hidden layers (supplement: 3 x 128, humanoids 2 x 128).
+    """
+
+    def __init__(self, n_features: int, window: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.net = nn.Sequential(nn.Flatten(), *_tanh_mlp(n_features * window, hidden))
+
+    def forward(self, windows: th.Tensor) -> th.Tensor:
+        """Return ``disc_logits_expert_is_high`` (B,) of windows (B, W, F)."""
+        return self.net(windows)[:, 0]
+
+
+@dataclass(frozen=True)
+class DiscriminatorLoss:
+    """The discriminator's loss and what is logged beside it."""
+
+    total: th.Tensor
+    cross_entropy: float
+    accuracy_expert: float
+    accuracy_learner: float
+
+
+def discriminator_loss(
+    discriminator: nn.Module,
+    expert_windows: th.Tensor,
+    learner_windows: th.Tensor,
+    *,
+    entropy_coef: float,
+    gradient_penalty: float,
+    mixing: th.Tensor | None = None,
+) -> DiscriminatorLoss:
+    """Compute line 9's cross-entropy, the entropy bonus and the optional gradient penalty.
+
+    Args:
+        discriminator: D, returning logits that are high for the expert.
+        expert_windows: (B, W, F).
+        learner_windows: (B, W, F), already transformed.
+        entropy_coef: Weight of the Bernoulli entropy bonus (from merel-mocap-gail).
+        gradient_penalty: Weight of the squared gradient norm of the logit on random mixtures of
+            expert and learner windows; 0 switches it off. Not in the paper: see "Deviations".
+        mixing: Share of the expert in each mixture, (B,) in [0, 1]; needed with the penalty.
+    """
+    logits_expert = discriminator(expert_windows)
+    logits_learner = discriminator(learner_windows)
+    cross_entropy = F.softplus(-logits_expert).mean() + F.softplus(logits_learner).mean()
+    total = cross_entropy
+    if entropy_coef:
+        logits = th.cat([logits_expert, logits_learner])
+        # entropy of a Bernoulli variable with these logits
+        entropy = (F.softplus(logits) - th.sigmoid(logits) * logits).mean()
+        total = total - entropy_coef * entropy
+    if gradient_penalty:
+        assert mixing is not None
+        share = mixing[:, None, None]
+        mixed = share * expert_windows + (1.0 - share) * learner_windows
+        total = total + gradient_penalty * squared_gradient_norm(discriminator, mixed)
+    return DiscriminatorLoss(
+        total,
+        cross_entropy.item(),
+        (logits_expert > 0).float().mean().item(),
+        (logits_learner < 0).float().mean().item(),
+    )
+
+
+def squared_gradient_norm(discriminator: nn.Module, windows: th.Tensor) -> th.Tensor:
+    """Return the mean squared norm of the logit's gradient by the windows (B, W, F)."""
+    windows = windows.detach().requires_grad_(True)
+    logits = discriminator(windows)
+    (gradient,) = th.autograd.grad(logits.sum(), windows, create_graph=True)
+    return gradient.flatten(1).square().sum(dim=1).mean()
+
+
+class _ReverseGradient(th.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: th.Tensor, coef: float) -> th.Tensor:
+        ctx.coef = coef
+        return x.view_as(x)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: th.Tensor) -> tuple[th.Tensor, None]:
+        (gradient,) = gradients
+        return -ctx.coef * gradient, None
+
+
+def reverse_gradient(x: th.Tensor, coef: float) -> th.Tensor:
+    """Return ``x`` unchanged; its gradient comes back times ``-coef`` (Ganin & Lempitsky, 2015).
+
+    What lies behind it minimises its loss, and what lies before it maximises the same loss.
+
+    Args:
+        x: Any tensor.
+        coef: C_g, at least 0; 0 lets no gradient through.
+    """
+    return _ReverseGradient.apply(x, coef)  # type: ignore[no-untyped-call]
+
+
+class ThirdPersonDiscriminator(nn.Module):
+    """TPIL's two discriminators on one encoder of single states; a high logit means "expert".
+
+    The window head judges the encodings of a window's W states and gives the reward. The domain
+    head tells expert from learner by a single state's encoding; through gradient reversal the
+    encoder learns to make that impossible, so as to forget what the body alone betrays.
+
+    Args:
+        n_features: F, features per state.
+        window: W, states per window.
+        hidden: Units of the hidden layers: the first is the encoder, the others are each head's.
+            (128, 128) has the depth and widths of SILEM's discriminator for humanoids.
+        reversal_coef: C_g of the gradient reversal.
+
+    Raises:
+        SilemError: If there is no hidden layer.
+    """
+
+    def __init__(
+        self, n_features: int, window: int, hidden: Sequence[int], reversal_coef: float
+    ) -> None:
+        super().__init__()
+        if not hidden:
+            raise SilemError("disc_hidden needs one layer at least: the first encodes a state")
+        self.reversal_coef = reversal_coef
+        self.encoder = nn.Sequential(nn.Linear(n_features, hidden[0]), nn.Tanh())
+        self.window_head = nn.Sequential(*_tanh_mlp(window * hidden[0], hidden[1:]))
+        self.domain_head = nn.Sequential(*_tanh_mlp(hidden[0], hidden[1:]))
+
+    def forward(self, windows: th.Tensor) -> th.Tensor:
+        """Return ``disc_logits_expert_is_high`` (B,) of windows (B, W, F)."""
+        return self.window_head(self.encoder(windows).flatten(1))[:, 0]
+
+    def domain_logits(self, states: th.Tensor) -> th.Tensor:
+        """Return ``domain_logits_expert_is_high`` (B,) of states (B, F); reverses gradients."""
+        return self.domain_head(reverse_gradient(self.encoder(states), self.reversal_coef))[:, 0]
+
+
+class AffineTransform(nn.Module):
+    """f(g(s)) = A g(s) + b with diagonal A; starts as the identity.
+
+    Args:
+        n_features: F, the number of skeletal features of a state.
+    """
+
+    def __init__(self, n_features: int) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(th.ones(n_features))
+        self.offset = nn.Parameter(th.zeros(n_features))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Transform features (..., F) state by state."""
+        return features * self.scale + self.offset
+
+
+class MLPTransform(nn.Sequential):
+    """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
+
+    def __init__(self, n_features: int) -> None:
+        super().__init__(*_tanh_mlp(n_features, [MLP_HIDDEN_UNITS], n_features))
+
+
+TRANSFORMS: dict[str, type[AffineTransform | MLPTransform]] = {
+    "affine": AffineTransform,
+    "mlp": MLPTransform,
+}
+"""f of the sequential transform by name: one function, applied to every state of a window."""
+
+
+def l2_penalty(
+    transform: AffineTransform, scale_coef: float, offset_coef: float, form: str = "deviation"
+) -> th.Tensor:
+    """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
+
+    The supplement names the two coefficients and not the form. "deviation" measures A from one:
+    the identity, which says that the two bodies are alike, is what a transform should fall back
+    to where the discriminator asks for nothing. The "plain" norm pulls A to 0, hence every
+    feature to a constant that tells nothing of the learner. Both are means over the features, so
+    that a coefficient weighs the same beside the loss of line 10 whatever F is.
+
+    Args:
+        transform: The affine transform.
+        scale_coef: w_d, weight of A's term.
+        offset_coef: w_b, weight of b's term.
+        form: "deviation" or "plain".
+    """
+    rest = 1.0 if form == "deviation" else 0.0
+    scale_term = (transform.scale - rest).square().mean()
+    return scale_coef * scale_term + offset_coef * transform.offset.square().mean()
+
+
+class RunningNormalizer(BaseFeaturesExtractor):
+    """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
+
+    Being part of the policy, the moments are saved, loaded and used by ``predict`` with it:
+    no wrapper has to travel beside the model. They change only in :meth:`update`, which the
+    algorithm calls once per iteration, so the policy that collects a rollout is the policy
+    that is updated on it.
+
+    Args:
+        observation_space: A flat Box of shape (O,).
+
+    Raises:
+        SilemError: If the observation space is not a flat Box.
+    """
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        if not isinstance(observation_space, spaces.Box) or len(observation_space.shape) != 1:
+            raise SilemError(
+                f"observation normalisation needs a flat Box space, got {observation_space}; "
+                "pass normalize_observations=False"
+            )
+        n_features = observation_space.shape[0]
+        super().__init__(observation_space, n_features)
+        self.mean: th.Tensor
+        self.var: th.Tensor
+        self.count: th.Tensor
+        self.register_buffer("mean", th.zeros(n_features, dtype=th.float64))
+        self.register_buffer("var", th.ones(n_features, dtype=th.float64))
+        self.register_buffer("count", th.tensor(1e-4, dtype=th.float64))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """Return observations (B, O) in clipped standard deviations."""
+        scale = th.sqrt(self.var + _EPSILON).to(observations.dtype)
+        centred = observations - self.mean.to(observations.dtype)
+        return th.clamp(centred / scale, -CLIP, CLIP)
+
+    def mean_and_scale(self, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean and the standard deviation in use, each (O,), in ``dtype``."""
+        scale = th.sqrt(self.var + _EPSILON)
+        return self.mean.numpy().astype(dtype), scale.numpy().astype(dtype)
+
+    def update(self, observations: np.ndarray) -> None:
+        """Merge the moments of a batch (B, O) into the running ones (Chan et al., 1979)."""
+        batch = th.from_numpy(np.asarray(observations, dtype=np.float64))
+        batch_mean, batch_var, batch_count = batch.mean(0), batch.var(0, unbiased=False), len(batch)
+        total = self.count + batch_count
+        delta = batch_mean - self.mean
+        self.var.copy_(
+            (self.var * self.count + batch_var * batch_count) / total
+            + delta**2 * self.count * batch_count / total**2
+        )
+        self.mean.add_(delta * batch_count / total)
+        self.count.copy_(total)

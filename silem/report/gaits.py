@@ -1,0 +1,379 @@
+"""The gaits of one body's experts, and what their imitators make of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from pandas.io.formats.style import Styler
+from scipy import signal, stats
+
+from silem.envs.bullet.simulator import STEP_S
+from silem.motion.demonstrations import Demonstrations, entry, file_of
+from silem.report import rendering, results, style, tables
+from silem.report.figures import sources
+from silem.report.video import Clip, side_by_side
+from silem.study import gait, runs
+from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
+from silem.study.evaluate import record_episodes
+from silem.study.policies import load_policy
+from silem.study.record import POLICY, RunRecord
+from silem.util.errors import SilemError
+
+_METHODS = ("silem", "silem-minus")
+_PICTURE = (320, 240)  # pixels of one clip in a grid
+_STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
+_PHASES = np.linspace(0, 1, 50)
+_CHANCE = 0.05
+
+
+class ExpertGait(NamedTuple):
+    """One trial's expert: its run, recorded episodes, and the gait measured on them."""
+
+    record: RunRecord
+    demonstrations: Demonstrations
+    gait: gait.Gait
+
+
+def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | None]:
+    """Return the gaits of a body's experts by the name of their demonstrations ("HC0_s1").
+
+    The published demonstrations are measured where there are any of the run, else episodes
+    recorded here. A trial whose run is not there, or has no policy, is None.
+
+    Args:
+        body: A runner.
+        budget: The experts' budget.
+        n_trajectories: Episodes to record of an expert without published demonstrations.
+    """
+    shown: dict[str, ExpertGait | None] = {}
+    for config in experts(body, budget):
+        record, name = runs.find(config.run_id), f"{body}_s{config.seed}"
+        shown[name] = None
+        if record is not None and POLICY in record.files:
+            episodes = _episodes(record, n_trajectories)
+            shown[name] = ExpertGait(record, episodes, gait.measure(episodes))
+    return shown
+
+
+def _episodes(record: RunRecord, n_trajectories: int) -> Demonstrations:
+    body = record.config["body"]
+    for name in (trial_name(record), body):
+        if file_of(name).exists() and entry(name)["expert_run_id"] == record.run_id:
+            return Demonstrations.load(name)
+    policy = load_policy(record)
+    return record_episodes(policy, body, n_trajectories, run_id=record.run_id)
+
+
+def chosen(body: str, budget: str) -> tuple[str, str]:
+    """Return the name of the demonstrator's own demonstrations, and a sentence on the choice.
+
+    The name is "" where not all experts are finished; the sentence says so then.
+    """
+    try:
+        record = demonstrator(body, budget)
+    except SilemError as error:
+        return "", f"No demonstrator yet: {error}."
+    value = style.number(record.evaluation["return_mean"])
+    sentence = (
+        f"The demonstrator is trial {record.config['seed']}: of the"
+        f" {len(experts(body, budget))} experts it has the highest evaluation return, {value}."
+    )
+    return trial_name(record), sentence
+
+
+def table(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Styler:
+    """Return the gaits as a table, a row for each trial; the demonstrator's is marked.
+
+    Returns and failures are those of the run's evaluation, the rest of the recorded episodes.
+    """
+    return tables.styled(pd.DataFrame([_row(*item, demonstrator_name) for item in shown.items()]))
+
+
+def _row(name: str, found: ExpertGait | None, demonstrator_name: str) -> dict[str, str]:
+    row = {"trial": f"{_trial(name)}{' (demonstrator)' if name == demonstrator_name else ''}"}
+    if found is None:
+        return row | {"return": "no run"} | dict.fromkeys(_COLUMNS, tables.DASH)
+    evaluation, measured = found.record.evaluation, found.gait
+    returns, number = np.array(evaluation["returns"]), tables.number
+    n_recorded = len(found.demonstrations.features)
+    values = (
+        number(returns.min()),
+        f"{gait.failed(returns).sum()} of {len(returns)}",
+        f"{measured.n_failed} of {n_recorded}",
+        number(evaluation["speed_m_s"], 2),
+        f"{number(measured.pitch_rad, 2)} ± {number(measured.pitch_std_rad, 2)}",
+        f"{number(100 * measured.limit_share)} %",
+        number(measured.joints_at_limit, 1),
+    )
+    mean = f"{number(evaluation['return_mean'])} ± {number(evaluation['return_std'])}"
+    return row | {"return": mean} | dict(zip(_COLUMNS, values, strict=True))
+
+
+_COLUMNS = (
+    "worst episode", "failed", "failed, recorded", "speed (m/s)", "pitch (rad)",
+    "a joint at its limit", "joints at limits",
+)  # fmt: skip
+
+
+def film(clips: Sequence[Clip], labels: Sequence[str], n_columns: int = 3) -> Clip:
+    """Lay clips of the same size out in a grid, each under its label, all on one clock."""
+    rows = [
+        side_by_side(clips[i : i + n_columns], labels[i : i + n_columns])
+        for i in range(0, len(clips), n_columns)
+    ]
+    n_frames = max(len(row.frames) for row in rows)
+    width = max(row.frames.shape[2] for row in rows)
+    padded = []
+    for row in rows:
+        frames = np.pad(
+            row.frames, [(0, n_frames - len(row.frames)), (0, 0), (0, 0), (0, 0)], mode="edge"
+        )
+        room = [(0, 0), (0, 8), (0, width - frames.shape[2]), (0, 0)]
+        padded.append(np.pad(frames, room, constant_values=255))
+    return Clip(np.concatenate(padded, axis=1), rows[0].frames_per_s)
+
+
+def film_experts(shown: dict[str, ExpertGait | None], duration_s: float) -> Clip | None:
+    """Film all experts that are there, side by side from one start; None without any."""
+    there = {name: found for name, found in shown.items() if found is not None}
+    labels = [f"trial {_trial(name)}, {e.gait.speed_m_s:.2f} m/s" for name, e in there.items()]
+    clips = [_filmed(found.record, duration_s) for found in there.values()]
+    return film(clips, labels) if clips else None
+
+
+def _filmed(record: RunRecord, duration_s: float) -> Clip:
+    learner, policy = record.run_config().learner, load_policy(record)
+    return rendering.rollout(learner, policy, duration_s=duration_s, progress=False, size=_PICTURE)
+
+
+def strides(pitch: np.ndarray) -> np.ndarray:
+    """Cut a pitch (T,) at its peaks into strides, each resampled to phases 0 to 1: (N, 50).
+
+    A stride lasts as long as the lag at which the pitch is most like itself, give or take a third.
+    """
+    centred = pitch - pitch.mean()
+    low, high = (round(seconds / STEP_S) for seconds in _STRIDE_S)
+    alike = [centred[lag:] @ centred[:-lag] / (len(pitch) - lag) for lag in range(low, high)]
+    period = low + int(np.argmax(alike))
+    peaks, _ = signal.find_peaks(pitch, distance=max(1, round(2 * period / 3)))
+    cut = [
+        np.interp(_PHASES, np.linspace(0, 1, end - start + 1), pitch[start : end + 1])
+        for start, end in itertools.pairwise(peaks)
+        if end - start <= 4 * period / 3
+    ]
+    return np.array(cut).reshape(-1, len(_PHASES))
+
+
+def draw_strides(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Figure:
+    """Draw each expert's pitch over a stride: median, and the middle 80 % of all strides."""
+    with style.applied():
+        figure, grid = style.new_figure(
+            2.3, ncols=len(shown), sharex=True, sharey=True, squeeze=False
+        )
+        for axes, (name, found) in zip(grid[0], shown.items(), strict=True):
+            mark = name == demonstrator_name
+            axes.set_title(f"trial {_trial(name)}{' ●' if mark else ''}")
+            axes.axhline(0, color=style.MUTED, lw=0.8, ls=(0, (4, 3)))
+            axes.set(xticks=[0, 0.5, 1], xlim=(0, 1))
+            axes.set_xticklabels(["0", "½", "1"])
+            if found is None:
+                axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
+            else:
+                _draw_stride(axes, found, style.method("silem").color if mark else style.INK)
+        grid[0][0].set_ylabel("pitch (rad), nose down")
+        note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
+        style.footer(figure, f"{note}; ●: the demonstrator")
+    return figure
+
+
+def _draw_stride(axes: Axes, found: ExpertGait, color: str) -> None:
+    pitches = [gait.pitch_rad(features) for features in found.demonstrations.features]
+    cut = np.concatenate([strides(pitch) for pitch in pitches])
+    if len(cut):
+        low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
+        axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
+        axes.plot(_PHASES, middle, color=color, lw=1.8)
+    axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
+
+
+def imitated(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> Figure:
+    """Draw score and speed of the study "demonstrators", a slot for each demonstrator.
+
+    Demonstrators stand in the order of their pitch, which their labels name together with how many
+    joints are at their limits; those without a gait come last. Bodies are columns.
+
+    Args:
+        frame: Runs of the study at one budget.
+        shown: The demonstrators, from `load`.
+    """
+    names = sorted(shown, key=lambda name: _pitch(shown[name]))
+    score = _score_column(frame)
+    titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
+    bodies = results.body_names(frame)
+    with style.applied():
+        figure, grid = style.new_figure(
+            4.6, nrows=2, ncols=len(bodies), sharex=True, sharey="row", squeeze=False
+        )
+        for column, body in zip(grid.T, bodies, strict=True):
+            column[0].set_title(body)
+            for axes, quantity in zip(column, titles, strict=True):
+                _draw_slots(axes, frame[frame["body"] == body], names, quantity)
+            for x, name in enumerate(names):
+                if (found := shown[name]) is not None:
+                    speed = found.gait.speed_m_s
+                    column[1].plot([x - 0.3, x + 0.3], [speed, speed], color=style.MUTED, lw=1.4)
+            column[1].set_xticks(range(len(names)), [_named(name, shown[name]) for name in names])
+            column[1].tick_params(axis="x", labelsize=7.5, length=0)
+        for axes, title in zip(grid[:, 0], titles.values(), strict=True):
+            axes.set_ylabel(title)
+        looks = [style.method(method) for method in _METHODS]
+        handles = [
+            Line2D([], [], ls="none", marker=m.marker, color=m.color, ms=7, mec="white", label=text)
+            for m, text in zip(looks, ("SILEM", "SILEM⁻"), strict=True)
+        ]
+        handles.append(Line2D([], [], color=style.MUTED, lw=1.4, label="the demonstrator itself"))
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
+        note = "below: the demonstrator's mean pitch, and how many of its joints are at a limit"
+        sources.footer(figure, frame, note)
+    return figure
+
+
+def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity: str) -> None:
+    axes.set_xlim(-0.5, len(names) - 0.5)
+    axes.update_datalim([(0, 0), (0, 1)])  # no zooming in on a lone run
+    axes.autoscale_view(scalex=False)
+    for x, name in enumerate(names):
+        here = frame[frame["demonstrations"] == name]
+        if here[quantity].isna().all():
+            style.empty_slot(axes, x)
+        for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
+            look, values = style.method(method), here[here["method"] == method][quantity]
+            axes.plot(
+                [x + offset] * len(values), values, look.marker, color=look.color, ms=7,
+                mec="white", zorder=3,
+            )  # fmt: skip
+
+
+def decided(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> str:
+    """Say of each body what moved the scores: who demonstrated, or the transform.
+
+    An analysis of variance without replication: demonstrators are rows, methods columns, and what
+    neither explains is the error that both are tested against (F tests at 5 %).
+    """
+    return "\n".join(
+        f"- **{body}**: {_told(frame, body, shown)}" for body in results.body_names(frame)
+    )
+
+
+class Effects(NamedTuple):
+    """What moves the entries of a table: sums of squares as shares, and p of the F tests."""
+
+    rows_share: float
+    columns_share: float
+    rows_p: float
+    columns_p: float
+
+
+def effects(values: np.ndarray) -> Effects:
+    """Analyse the variance of values (R, C), one per row and column, R and C of 2 or more."""
+    total = float(((values - values.mean()) ** 2).sum())
+    n_rows, n_columns = values.shape
+    rows = float(n_columns * ((values.mean(axis=1) - values.mean()) ** 2).sum())
+    columns = float(n_rows * ((values.mean(axis=0) - values.mean()) ** 2).sum())
+    freedom = (n_rows - 1) * (n_columns - 1)
+    error = max(total - rows - columns, 1e-12 * total) / freedom
+    if total == 0:
+        return Effects(0.0, 0.0, 1.0, 1.0)
+    return Effects(
+        rows / total, columns / total,
+        float(stats.f.sf(rows / (n_rows - 1) / error, n_rows - 1, freedom)),
+        float(stats.f.sf(columns / (n_columns - 1) / error, n_columns - 1, freedom)),
+    )  # fmt: skip
+
+
+def _told(frame: pd.DataFrame, body: str, shown: dict[str, ExpertGait | None]) -> str:
+    here, score = frame[frame["body"] == body], _score_column(frame)
+    digits = 2 if score == "normalised" else 0
+    by_method = here.pivot_table(score, "demonstrations", "method").reindex(columns=list(_METHODS))
+    both = by_method.dropna()
+    if len(both) < 2:
+        return f"not to be told yet; {len(both)} of {len(shown)} demonstrators have both runs."
+    means, found = both.mean(axis=1), effects(both.to_numpy())
+    worst, best = means.idxmin(), means.idxmax()
+    gain = float((both["silem"] - both["silem-minus"]).mean())
+    number = tables.number
+    return (
+        f"{len(both)} of {len(shown)} demonstrators have both runs. Between demonstrators the"
+        f" score goes from {number(means.min(), digits)} (trial {_trial(worst)}) to"
+        f" {number(means.max(), digits)} (trial {_trial(best)}); the transform changes it by"
+        f" {number(gain, digits)} on average. {number(100 * found.rows_share)} % of the variance"
+        f" goes with the demonstrator (p = {found.rows_p:.2g}),"
+        f" {number(100 * found.columns_share)} % with the transform (p = {found.columns_p:.2g}),"
+        f" the rest with chance and how the two meet. {_verdict(found)}{_by_pitch(means, shown)}"
+    )
+
+
+def _verdict(found: Effects) -> str:
+    teacher, transform = found.rows_p < _CHANCE, found.columns_p < _CHANCE
+    if teacher and transform:
+        return "Both the teacher and the transform matter."
+    if teacher:
+        return "The teacher decided, not the transform."
+    if transform:
+        return "The transform decided, not the teacher."
+    return "Neither can be told from chance with these runs."
+
+
+def _by_pitch(means: pd.Series, shown: dict[str, ExpertGait | None]) -> str:
+    known = [name for name in means.index if shown.get(name) is not None]
+    if len(known) < 4:
+        return ""
+    rank = stats.spearmanr([_pitch(shown[name]) for name in known], means[known]).statistic
+    return f" Rank correlation of score and the demonstrator's pitch: {tables.number(rank, 2)}."
+
+
+def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
+    """Return the study's best and worst run that can be filmed, by what to call them."""
+    score = _score_column(frame)
+    ordered = frame.dropna(subset=[score]).sort_values(score, ascending=False)
+    found = {row.run_id: (row, results.find(row.run_id)) for row in ordered.itertuples()}
+    there = [(row, record) for row, record in found.values() if POLICY in record.files]
+    named = {}
+    for word, (row, record) in zip(("best", "worst"), (there[:1] + there[-1:]), strict=False):
+        label = style.method(row.method).label.partition(" (")[0]
+        named[f"{word}: {row.body}, {label}, trial {_trial(row.demonstrations)}"] = record
+    return named
+
+
+def film_extremes(frame: pd.DataFrame, duration_s: float) -> Clip | None:
+    """Film the best and the worst run side by side; None where none can be filmed."""
+    found = extremes(frame)
+    clips = [_filmed(record, duration_s) for record in found.values()]
+    return film(clips, list(found), n_columns=2) if clips else None
+
+
+def _score_column(frame: pd.DataFrame) -> str:
+    """Return the column of scores, or of returns where no expert gives a scale."""
+    return "normalised" if frame["normalised"].notna().any() else "return_mean"
+
+
+def _trial(name: str) -> int | None:
+    return expert_of(name)[1]
+
+
+def _pitch(found: ExpertGait | None) -> float:
+    return np.inf if found is None else found.gait.pitch_rad
+
+
+def _named(name: str, found: ExpertGait | None) -> str:
+    if found is None:
+        return f"trial {_trial(name)}\nno run"
+    pitch, joints = tables.number(found.gait.pitch_rad, 2), found.gait.joints_at_limit
+    return f"trial {_trial(name)}\n{pitch} rad\n{joints:.1f} joints"

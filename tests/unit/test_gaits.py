@@ -1,0 +1,244 @@
+"""The gaits of a body's experts: tables, strides, films, and what decided about their imitators."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic_records as synthetic
+from drawn import assert_readable, texts
+
+from silem.envs import make_vec
+from silem.motion import demonstrations as demos
+from silem.motion.demonstrations import Demonstrations
+from silem.report import gaits, results
+from silem.report.features import feature_names
+from silem.report.video import Clip
+from silem.study import gait, runs
+from silem.study.config import RunConfig
+from silem.study.demonstrate import demonstrate, describe, experts
+from silem.study.policies import make_policy_model
+from silem.study.record import POLICY, RunRecord
+from silem.study.studies import study_configs
+from silem.util import files
+
+PITCHES = {"HC0_s0": 0.4, "HC0_s1": 0.0, "HC0_s2": 0.3, "HC0_s3": 0.2, "HC0_s4": 0.1}
+
+
+def galloping(pitch: float, n_states: int = 300) -> np.ndarray:
+    """Features of HC0 that pitches around a mean, twenty states to a stride."""
+    names = feature_names("HC0")
+    features = np.zeros((n_states, len(names)), np.float32)
+    features[:, names.index("pitch")] = pitch + 0.1 * np.cos(2 * np.pi * np.arange(n_states) / 20)
+    features[:, names.index("forward velocity")] = 0.6
+    return features
+
+
+def with_policy(record: RunRecord) -> RunRecord:
+    """Give a made-up record an untrained policy."""
+    config = record.run_config()
+    env = make_vec(config.body, n_envs=1)
+    model = make_policy_model(config, env)
+    env.close()
+    path = record.folder / POLICY
+    files.write_tensors(path, model.policy_arrays(), {"run_id": record.run_id})
+    complete = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
+    complete.save(record.folder)
+    return complete
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data folder with HC0's five experts, each with published demonstrations."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for config, (name, pitch) in zip(experts("HC0", "book"), PITCHES.items(), strict=True):
+        record = with_policy(synthetic.write_record(config, 2000 + 100 * (config.seed == 3)))
+        states = galloping(pitch)
+        demos.publish(name, Demonstrations((states,), (2000.0,), "HC0", record.run_id))
+    return tmp_path
+
+
+def imitators(score: dict[str, dict[str, float]], bodies: tuple[str, ...] = ("HC1",)) -> None:
+    """Write the study's runs: score of a method by the trial of the demonstrator."""
+    for body in bodies:
+        synthetic.write_record(RunConfig.create(body, "ppo", budget="book"), 1000.0)
+    for config in study_configs("demonstrators", "book"):
+        value = score.get(config.method, {}).get(config.demonstrations)
+        if value is not None and config.body in bodies:
+            synthetic.write_record(config, 1000 * value)
+
+
+def test_every_trial_is_there_even_without_a_run(data: Path) -> None:
+    (gone,) = [c for c in experts("HC0", "book") if c.seed == 2]
+    record = runs.find(gone.run_id)
+    assert record is not None
+    (record.folder / "record.json").unlink()
+    shown = gaits.load("HC0", "book", 1)
+    assert list(shown) == list(PITCHES)
+    assert shown["HC0_s2"] is None
+    name, why = gaits.chosen("HC0", "book")
+    assert name == ""
+    assert gone.command in why
+    table = gaits.table(shown, name).data
+    assert list(table["return"])[2] == "no run"
+    figure = gaits.draw_strides(shown, name)
+    assert "no run" in texts(figure)
+    assert_readable(figure)
+
+
+def test_the_demonstrator_is_the_best_of_all_and_marked(data: Path) -> None:
+    shown = gaits.load("HC0", "book", 1)
+    name, why = gaits.chosen("HC0", "book")
+    assert name == "HC0_s3"
+    assert "trial 3: of the 5 experts it has the highest evaluation return" in why
+    table = gaits.table(shown, name).data
+    assert list(table["trial"]) == ["0", "1", "2", "3 (demonstrator)", "4"]
+    assert list(table["pitch (rad)"])[:2] == ["0.40 ± 0.07", "0.00 ± 0.07"]
+    assert set(table["speed (m/s)"]) == {
+        f"{synthetic_speed(2000):.2f}",
+        f"{synthetic_speed(2100):.2f}",
+    }
+    assert set(table["failed"]) == {"0 of 100"}
+    assert set(table["failed, recorded"]) == {"0 of 1"}
+    assert_readable(gaits.draw_strides(shown, name))
+
+
+def synthetic_speed(value: float) -> float:
+    return 2.4 * (value + 200) / 2600
+
+
+def test_published_episodes_of_another_run_are_not_taken_for_this_ones(data: Path) -> None:
+    strange = Demonstrations((galloping(0.9),), (2000.0,), "HC0", "another run")
+    demos.publish("HC0_s1", strange)
+    found = gaits.load("HC0", "book", 1)["HC0_s1"]
+    assert found is not None
+    assert found.demonstrations.expert_run_id == found.record.run_id
+    assert len(found.demonstrations.features[0]) == 1001  # recorded here
+
+
+def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
+    record = runs.find(experts("HC0", "book")[0].run_id)
+    assert record is not None
+    demonstrate(record, 1, name="HC0_s0", force=True)
+    measured = gait.measure(Demonstrations.load("HC0_s0"))
+    entry = demos.entry("HC0_s0")
+    assert {key: entry[key] for key in measured._fields} == measured._asdict()
+    said = describe("HC0_s0")
+    assert f"1 trajectories of {record.run_id}, return {measured.return_worst:.0f} ± 0" in said
+    assert f"pitch {measured.pitch_rad:.2f} ±" in said
+
+
+def test_strides_are_cut_at_the_peaks_and_resampled() -> None:
+    cut = gaits.strides(gait.pitch_rad(galloping(0.2)))
+    assert len(cut) == 13  # 14 peaks inside 300 states, the first is at the edge
+    expected = 0.2 + 0.1 * np.cos(2 * np.pi * np.linspace(0, 1, 50))
+    assert np.abs(cut - expected).max() < 0.01
+    assert len(gaits.strides(np.zeros(300))) == 0  # stands
+
+
+def test_a_grid_of_clips_runs_on_one_clock() -> None:
+    clips = [Clip(np.full((4, 60, 80, 3), shade, np.uint8), 30.0) for shade in (90, 120, 150, 180)]
+    grid = gaits.film(clips, list("abcd"), n_columns=3)
+    assert grid.frames.shape == (4, 2 * 68, 3 * 80 + 2 * 8, 3)
+    assert grid.frames_per_s == 30
+    assert (grid.frames[:, 40, 40] == 90).all()
+    assert (grid.frames[:, 68 + 40, 40] == 180).all()
+    assert (grid.frames[:, 68 + 40, 88 + 40] == 255).all()  # nobody stands there
+
+
+def test_experts_are_filmed_side_by_side(data: Path) -> None:
+    shown = gaits.load("HC0", "book", 1) | {"HC0_s4": None}
+    clip = gaits.film_experts(shown, 0.1)
+    assert clip is not None
+    assert clip.frames.shape[1:3] == (2 * 248, 3 * 320 + 16)
+    assert gaits.film_experts({"HC0_s0": None}, 0.1) is None
+
+
+# ---------------------------------------------------------------- what decided
+
+
+def test_effects_of_a_table_worked_out_by_hand() -> None:
+    # rows differ by 4, columns by 2, with one entry off
+    values = np.array([[0.0, 2.0], [4.0, 6.0], [8.0, 13.0]])
+    found = gaits.effects(values)
+    total = ((values - 5.5) ** 2).sum()
+    assert found.rows_share == pytest.approx(2 * (4.5**2 + 0.5**2 + 5**2) / total)
+    assert found.columns_share == pytest.approx(3 * 2 * 1.5**2 / total)
+    assert found.rows_p < found.columns_p < 0.2
+    swapped = gaits.effects(values.T)
+    assert swapped.rows_p == pytest.approx(found.columns_p)
+    assert gaits.effects(np.ones((3, 2))) == (0, 0, 1, 1)
+
+
+def test_chance_is_not_called_a_cause() -> None:
+    rng = np.random.default_rng(0)
+    wrong = [gaits.effects(rng.normal(size=(5, 2))) for _ in range(400)]
+    for name in ("rows_p", "columns_p"):
+        assert 0.02 < np.mean([getattr(found, name) < 0.05 for found in wrong]) < 0.09
+
+
+@pytest.mark.parametrize(
+    ("teacher", "transform", "words"),
+    [
+        (1.0, 0.0, "The teacher decided, not the transform."),
+        (0.0, 0.5, "The transform decided, not the teacher."),
+        (1.0, 0.5, "Both the teacher and the transform matter."),
+        (0.0, 0.0, "Neither can be told from chance"),
+    ],
+)
+def test_what_decided_is_told_from_the_records(
+    data: Path, teacher: float, transform: float, words: str
+) -> None:
+    chance = dict(zip(PITCHES, (0.02, -0.03, 0.03, -0.02, 0.01), strict=True))
+    plain = {name: 0.2 + teacher * pitch + chance[name] for name, pitch in PITCHES.items()}
+    helped = {
+        name: 0.2 + teacher * pitch + transform - chance[name] for name, pitch in PITCHES.items()
+    }
+    imitators({"silem": helped, "silem-minus": plain})
+    records, shown = results.load_records("demonstrators", "book"), gaits.load("HC0", "book", 1)
+    one, two = gaits.decided(records, shown).splitlines()
+    assert one.startswith("- **HC1**: 5 of 5 demonstrators have both runs")
+    assert words in one
+    assert two.startswith("- **HC2**: not to be told yet; 0 of 5")
+    assert ("pitch: 1.00" in one) == (teacher > 0)
+
+
+def test_a_part_of_the_runs_is_shown_as_a_part(data: Path) -> None:
+    imitators({"silem": {"HC0_s1": 0.9}, "silem-minus": {"HC0_s0": 0.1, "HC0_s1": 0.8}})
+    records, shown = results.load_records("demonstrators", "book"), gaits.load("HC0", "book", 1)
+    assert "not to be told yet; 1 of 5" in gaits.decided(records, shown)
+    figure = gaits.imitated(records, shown)
+    assert texts(figure).count("no run") == 2 * (3 + 5)
+    labels = [label.get_text() for label in figure.axes[2].get_xticklabels()]
+    assert [label.splitlines()[0] for label in labels] == [
+        "trial 1", "trial 4", "trial 3", "trial 2", "trial 0",
+    ]  # fmt: skip
+    score = figure.axes[0]
+    marks = {line.get_marker(): line.get_xydata() for line in score.lines if len(line.get_xdata())}
+    assert marks["o"][0] == pytest.approx([-0.14, records.iloc[0]["normalised"]])
+    assert_readable(figure)
+
+
+def test_without_any_run_the_page_says_so(data: Path) -> None:
+    records, shown = results.load_records("demonstrators", "book"), gaits.load("HC0", "book", 1)
+    assert gaits.decided(records, shown).count("not to be told yet") == 2
+    assert_readable(gaits.imitated(records, dict.fromkeys(shown)))
+    assert gaits.film_extremes(records, 0.1) is None
+
+
+def test_best_and_worst_are_those_that_can_be_filmed(data: Path) -> None:
+    imitators(
+        {"silem": {"HC0_s0": 0.1, "HC0_s1": 0.9, "HC0_s2": 2.0}, "silem-minus": {"HC0_s4": 0.5}}
+    )
+    records = results.load_records("demonstrators", "book")
+    for row in records.itertuples():
+        if row.demonstrations != "HC0_s2":  # the highest score has no policy
+            with_policy(results.find(row.run_id))
+    best, worst = gaits.extremes(records).items()
+    assert best[0] == "best: HC1, SILEM, trial 1"
+    assert worst[0] == "worst: HC1, SILEM, trial 0"
+    clip = gaits.film_extremes(records, 0.1)
+    assert clip is not None
+    assert clip.frames.shape[2] == 2 * 320 + 8
