@@ -19,7 +19,7 @@ from silem.report.video import Clip
 from silem.study import gait, runs
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, describe, experts
-from silem.study.policies import make_policy_model
+from silem.study.training import make_policy_model
 from silem.study.record import POLICY, RunRecord
 from silem.study.studies import study_configs
 from silem.util import files
