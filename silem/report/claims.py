@@ -29,7 +29,8 @@ RULES = {
     " rewards of D of the largest, for scores and shares of 1, for speeds of the demonstrator's.",
     "score": "The mean return over trials by the mean return of the body's own experts; its"
     " interval holds the spread of both. Beside it stands the score against the best of them.",
-    "expert level": f"Return and speed both reach {1 - MARGIN:g} of the experts'. An expert stands"
+    "expert level": f"Return and speed both reach {1 - MARGIN:g} of the experts' (score and speed"
+    " ratio). An expert stands"
     f" where its speed is below {MARGIN:g} of that of the demonstrator's body; a score of 1 is then"
     " standing, and the claim cannot be tested by it.",
     "stable gait": f"The body survives {1 - MARGIN:g} of an episode's steps and moves at"
@@ -90,7 +91,7 @@ class Measure:
         """What is measured, in words."""
         name = _QUANTITIES.get(self.column, (f"mean of {self.column}", 2))[0]
         if self.per:
-            return "score" if name == "return" else f"{name.partition(' (')[0]} over the expert's"
+            return "score" if name == "return" else f"{name.partition(' ')[0]} ratio"
         return f"difference in {name}" if self.less else name
 
     @property

@@ -61,7 +61,9 @@ def table(frame: pd.DataFrame) -> Styler:
         for name, (runs, found) in judged.items():
             entry, several = found.iloc[index], len(claim.measures) > 1
             planned = results.n_trials(runs)
-            row[name, "value"] = "<br>".join(_value(f, several, planned) for f in entry.findings)
+            row[name, "value"] = "<br>".join(
+                _value(f, several, planned, trials=i == 0) for i, f in enumerate(entry.findings)
+            )
             row[name, "verdict"] = f"<b>{entry.verdict}</b>" + _small(entry.reason)
         rows.append(row)
     columns = pd.MultiIndex.from_tuples(list(rows[0]))
@@ -80,11 +82,11 @@ def rules() -> Styler:
     return styled(pd.DataFrame(claims.RULES.items(), columns=["rule", "what it says"]))
 
 
-def _value(finding: Finding, several: bool, planned: int) -> str:
+def _value(finding: Finding, several: bool, planned: int, *, trials: bool) -> str:
     """Write a value with everything that bears on it; a name before it where there are several."""
     digits = finding.measure.digits
     text = number(finding.ours, digits)
-    lines = [", ".join(f"{name} {count}" for name, count in finding.trials.items())]
+    lines = [f"{name} {count}" for name, count in finding.trials.items()] if trials else []
     if np.isfinite(finding.interval).all():
         text += f" [{' to '.join(number(end, digits) for end in finding.interval)}]"
     if finding.measure.name == "score" and not np.isnan(finding.of_best):

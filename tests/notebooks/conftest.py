@@ -18,8 +18,8 @@ from silem.envs import make_vec
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import RunConfig
-from silem.study.training import make_policy_model
 from silem.study.record import POLICY, RunRecord
+from silem.study.training import make_policy_model
 from silem.util import files
 
 REPO = Path(__file__).parents[2]

@@ -19,9 +19,9 @@ from silem.report.video import Clip
 from silem.study import gait, runs
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, describe, experts
-from silem.study.training import make_policy_model
 from silem.study.record import POLICY, RunRecord
 from silem.study.studies import study_configs
+from silem.study.training import make_policy_model
 from silem.util import files
 
 PITCHES = {"HC0_s0": 0.4, "HC0_s1": 0.0, "HC0_s2": 0.3, "HC0_s3": 0.2, "HC0_s4": 0.1}

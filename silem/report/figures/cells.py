@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,6 @@ from matplotlib.transforms import ScaledTranslation
 from silem.report import results, style
 from silem.study import statistics
 
-Draw = Callable[[Axes, float, np.ndarray, str, str], None]
-"""Draws values (N,) of a method on a body at a place on the x axis."""
-
 LEVEL_DASHES = (0, (4, 3))
 INTERVAL_TRIALS = 5
 """Trials below which no figure draws an interval."""
@@ -26,31 +23,27 @@ OTHER_LENGTH = "shorter or longer run"
 _DOTS_IN = 0.1  # the single trials stand this far right of their cell's range
 
 
-def draw_cells(
-    axes: Axes,
-    frame: pd.DataFrame,
-    methods: Sequence[str],
-    column: str,
-    draw: Draw,
-) -> None:
+def draw_cells(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
     """Draw every cell of a panel: bodies along the x axis, a slot for each method.
+
+    A cell without values is an empty slot with the reason. Runs of another number of iterations
+    than planned are crosses in either case.
 
     Args:
         axes: The panel.
         frame: The runs.
         methods: The methods, left to right.
         column: The column of the table to draw.
-        draw: Draws one cell that has values; a cell without becomes an empty slot with the reason.
-            Runs of another number of iterations than planned are crosses in either case.
     """
     for x, method, body in places(frame, methods):
         values = results.scores(frame, method, body, column)
         crosses = results.stand_ins(frame, method, body)[column].dropna()
         if len(values):
-            draw(axes, x, values, method, body)
+            draw_range(axes, x, values, method)
         elif crosses.empty:
             style.empty_slot(axes, x, _reason(frame, method, body))
-        _draw_crosses(axes, x, crosses, style.method(method))
+        cross: dict[str, Any] = {"ms": 6.5, "mew": 1.8, "color": style.method(method).color}
+        axes.plot(np.full(len(crosses), x), crosses, "x", zorder=5, **cross)
 
 
 def places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
@@ -61,7 +54,7 @@ def places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float,
             yield body_index + (index - (len(methods) - 1) / 2) * width, method, body
 
 
-def draw_range(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
+def draw_range(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
     """Draw minimum, mean and maximum over trials, and the trials; hollow for a single one.
 
     From `INTERVAL_TRIALS` on a pale bar behind them is Student's 95 % t interval of the mean.
@@ -106,11 +99,6 @@ def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow
     width = 1.6 if hollow else 0.8
     line: dict[str, Any] = {"color": look.color, "marker": look.marker, "ms": 7.5, "zorder": 5}
     axes.plot([x], [y], mfc=face, mec=edge, mew=width, **line)
-
-
-def _draw_crosses(axes: Axes, x: float, values: pd.Series, look: style.MethodStyle) -> None:
-    """Draw runs of another number of iterations than planned, as crosses in the method's colour."""
-    axes.plot(np.full(len(values), x), values, "x", ms=6.5, mew=1.8, color=look.color, zorder=5)
 
 
 def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:

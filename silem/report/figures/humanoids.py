@@ -90,7 +90,7 @@ def _draw(axes: Axes, frame: pd.DataFrame, panel: _Panel, room: float) -> None:
     axes.set_title(panel.title)
     cells.body_ticks(axes, frame, scale="PPO" if panel is _SCORE else "")
     cells.levels(axes, frame, "ppo", panel.column, 1.05 * panel.top)
-    cells.draw_cells(axes, frame, COMPARED, panel.column, cells.draw_range)
+    cells.draw_cells(axes, frame, COMPARED, panel.column)
     cells.room_for_counts(axes, 0.0, 1.04 * panel.top, room)
 
 

@@ -44,7 +44,7 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
             (left, "normalised", methods), (right, "speed_m_s", [*methods, "ppo"]),
         ):  # fmt: skip
             cells.body_ticks(axes, frame, scale="experts" if axes is left else "")
-            cells.draw_cells(axes, frame, shown, column, cells.draw_range)
+            cells.draw_cells(axes, frame, shown, column)
             cells.room_for_counts(axes, 0.0, 1.05)
             cells.trial_counts(axes, frame, shown, column)
         handles = cells.handles([style.method(m, original) for m in [*methods, "ppo"]])
@@ -81,7 +81,7 @@ def experts(frame: pd.DataFrame) -> Figure:
             axes.set(title=title)
             cells.body_ticks(axes, frame)
             axes.tick_params(axis="x", labelsize=8)
-            cells.draw_cells(axes, frame, methods, column, cells.draw_range)
+            cells.draw_cells(axes, frame, methods, column)
             axes.margins(y=0.12)
             axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
             axes.autoscale_view(scalex=False)
