@@ -1,8 +1,7 @@
 """MuJoCo's bodies: raw `mj_step`, our environments, dm_control's.
 
 All get the same actions and go back to the standing pose when the head falls, which random
-actions bring about every half second. Raw MuJoCo steps the states of one of our batches, from the
-same start.
+actions bring about every half second. Raw MuJoCo starts where our batch does.
 """
 
 from __future__ import annotations
@@ -24,16 +23,36 @@ N_THREADS = 2
 TARGET_TIMES_PEER = 1.5
 
 
-class Raw(Batched[MujocoVecEnv]):
-    """MuJoCo alone: controls set, simulation stepped, nothing read but the head's height."""
+class Raw:
+    """MuJoCo alone: controls set, simulation stepped, nothing read but the head's height.
+
+    Attributes:
+        states: One of MuJoCo's data per body.
+    """
+
+    def __init__(self, body: str, n_envs: int) -> None:
+        """Compile the model as its file has it, without sensors, which nothing reads."""
+        self.body = body_of(body)
+        self.model = mujoco.MjModel.from_xml_string(self.body.model_xml())
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
+        self.states = [mujoco.MjData(self.model) for _ in range(n_envs)]
+
+    def reset(self, seed: int) -> None:
+        """Start every body as our environments start with this seed."""
+        env = MujocoVecEnv(self.body, len(self.states), seed)
+        env.reset()
+        for index, data in enumerate(self.states):
+            mujoco.mj_resetData(self.model, data)
+            data.qpos[:], data.qvel[:] = env.simulation.qpos[index], env.simulation.qvel[index]
+            mujoco.mj_forward(self.model, data)
 
     def run(self, actions: np.ndarray) -> None:
         """Step through (T, E, A) actions."""
-        body, model = self.env.body, self.env.simulation.model
+        body, model = self.body, self.model
         step, n_substeps, fall_head_m = mujoco.mj_step, body.n_substeps, body.fall_head_m
         pose = np.array(body.standing_pose)
         head = model.body(body.skeleton.head).id
-        states = [(data, data.ctrl, data.xpos[head]) for data in self.env.simulation.states]
+        states = [(data, data.ctrl, data.xpos[head]) for data in self.states]
         for rows in actions:
             for (data, control, head_m), action in zip(states, rows, strict=True):
                 control[:] = action
@@ -97,7 +116,7 @@ def measurement(body: str, n_envs: Sequence[int] = N_ENVS) -> Measurement:
     return Measurement(
         body,
         body_of(body).action_size,
-        [Row("raw mj_step", n, Raw(MujocoVecEnv(body, n))) for n in n_envs],
+        [Row("raw mj_step", n, Raw(body, n)) for n in n_envs],
         [Row("silem.make_vec", n, Batched(MujocoVecEnv(body, n))) for n in n_envs],
         others,
         Row(PEER, 1, DmControl(body)) if body == "Humanoid" else None,

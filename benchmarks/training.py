@@ -25,7 +25,7 @@ from tqdm import tqdm
 import silem
 from benchmarks import bullet, humanoids
 from silem import bodies
-from silem.envs import BulletVecEnv, MujocoVecEnv
+from silem.envs import BulletVecEnv
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import RunConfig
 from silem.study.training import make_model
@@ -47,7 +47,7 @@ def raw_simulation(config: RunConfig) -> Contestant:
     if body.engine == "bullet":
         raw = bullet.Raw(BulletVecEnv(body, budget.n_envs))
     else:
-        raw = humanoids.Raw(MujocoVecEnv(body, budget.n_envs))
+        raw = humanoids.Raw(config.body, budget.n_envs)
     rng = np.random.default_rng(0)
     shape = (budget.steps_per_iteration // budget.n_envs, budget.n_envs, body.action_size)
 

@@ -16,6 +16,7 @@ from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_n
 from silem.study.evaluate import evaluate
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
+from silem.study.training import task_options
 from silem.util import paths
 from silem.util.errors import SilemError
 
@@ -86,8 +87,14 @@ def parser() -> argparse.ArgumentParser:
     command = commands.add_parser("bodies", help="list the bodies")
     command.set_defaults(command=_bodies)
     command = commands.add_parser(
-        "mocap", help="make the human's demonstrations, and retarget them, from CMU's clips"
+        "mocap",
+        help="make the human's demonstrations, and retarget them, from CMU's or your clips",
     )
+    command.add_argument("--asf", type=Path, help="the skeleton of a clip of your own")
+    command.add_argument("--amc", type=Path, help="the clip")
+    command.add_argument("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
+    command.add_argument("--name", help="what --demonstrations will find it by")
+    command.add_argument("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
     add_quiet(command)
     command.set_defaults(command=_mocap)
     return whole
@@ -130,8 +137,9 @@ def _finished(run_id: str) -> RunRecord:
 
 def _evaluate(options: argparse.Namespace) -> None:
     record = _finished(options.run_id)
-    learner = record.run_config().learner
-    result = evaluate(load_policy(record), learner, options.episodes, progress=True)
+    config = record.run_config()
+    task = task_options(config)
+    result = evaluate(load_policy(record), config.learner, options.episodes, progress=True, **task)
     _print_evaluation(record.run_id, result.to_dict())
 
 
@@ -165,11 +173,17 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _mocap(options: argparse.Namespace) -> None:
-    from silem.motion.clips import publish_clips
-    from silem.motion.retarget_report import publish_retargeted
+    from silem.motion import demonstrator, retargeting
 
     progress = not options.quiet
-    for path in (*publish_clips(progress=progress), *publish_retargeted(progress=progress)):
+    own = (options.name, options.asf, options.amc, options.rate_hz)
+    if own == (None,) * 4:
+        written, clip = demonstrator.publish_clips(progress=progress), "08_01"
+    elif None in own:
+        raise SilemError("mocap needs --asf, --amc, --rate-hz and --name for a clip of your own")
+    else:
+        written, clip = [demonstrator.publish_own(*own, floor_slope=options.floor_slope)], own[0]
+    for path in (*written, *retargeting.publish_retargeted(clip, progress=progress)):
         print(path)
 
 

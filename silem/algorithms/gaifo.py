@@ -277,7 +277,7 @@ class GAIfO(PPO):
         self, expert_windows: th.Tensor, learner_windows: th.Tensor, mixing: th.Tensor
     ) -> tuple[th.Tensor, dict[str, float]]:
         """Return the loss of one step on windows (B, W, F) each, and what to log of it."""
-        loss = discriminator_loss(
+        return discriminator_loss(
             self.discriminator,
             expert_windows,
             learner_windows,
@@ -285,11 +285,6 @@ class GAIfO(PPO):
             gradient_penalty=self.gradient_penalty,
             mixing=mixing,
         )
-        return loss.total, {
-            "disc_loss": loss.cross_entropy,
-            "disc_acc_expert": loss.accuracy_expert,
-            "disc_acc_learner": loss.accuracy_learner,
-        }
 
     def _passes(self, n: int, n_batches: int) -> tuple[th.Tensor, ...]:
         """Return ``n_batches`` equal index batches that go once through ``n`` rows at random."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch as th
@@ -49,16 +47,6 @@ class Discriminator(nn.Module):
         return self.net(windows)[:, 0]
 
 
-@dataclass(frozen=True)
-class DiscriminatorLoss:
-    """The discriminator's loss and what is logged beside it."""
-
-    total: th.Tensor
-    cross_entropy: float
-    accuracy_expert: float
-    accuracy_learner: float
-
-
 def discriminator_loss(
     discriminator: nn.Module,
     expert_windows: th.Tensor,
@@ -67,7 +55,7 @@ def discriminator_loss(
     entropy_coef: float,
     gradient_penalty: float,
     mixing: th.Tensor | None = None,
-) -> DiscriminatorLoss:
+) -> tuple[th.Tensor, dict[str, float]]:
     """Compute line 9's cross-entropy, the entropy bonus and the optional gradient penalty.
 
     Args:
@@ -78,6 +66,10 @@ def discriminator_loss(
         gradient_penalty: Weight of the squared gradient norm of the logit on random mixtures of
             expert and learner windows; 0 switches it off. Not in the paper: see "Deviations".
         mixing: Share of the expert in each mixture, (B,) in [0, 1]; needed with the penalty.
+
+    Returns:
+        The loss, and what to log: line 9's cross-entropy alone, and the share of expert and
+        learner windows judged rightly.
     """
     logits_expert = discriminator(expert_windows)
     logits_learner = discriminator(learner_windows)
@@ -93,12 +85,11 @@ def discriminator_loss(
         share = mixing[:, None, None]
         mixed = share * expert_windows + (1.0 - share) * learner_windows
         total = total + gradient_penalty * squared_gradient_norm(discriminator, mixed)
-    return DiscriminatorLoss(
-        total,
-        cross_entropy.item(),
-        (logits_expert > 0).float().mean().item(),
-        (logits_learner < 0).float().mean().item(),
-    )
+    return total, {
+        "disc_loss": cross_entropy.item(),
+        "disc_acc_expert": (logits_expert > 0).float().mean().item(),
+        "disc_acc_learner": (logits_learner < 0).float().mean().item(),
+    }
 
 
 def squared_gradient_norm(discriminator: nn.Module, windows: th.Tensor) -> th.Tensor:
@@ -107,18 +98,6 @@ def squared_gradient_norm(discriminator: nn.Module, windows: th.Tensor) -> th.Te
     logits = discriminator(windows)
     (gradient,) = th.autograd.grad(logits.sum(), windows, create_graph=True)
     return gradient.flatten(1).square().sum(dim=1).mean()
-
-
-class _ReverseGradient(th.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: th.Tensor, coef: float) -> th.Tensor:
-        ctx.coef = coef
-        return x.view_as(x)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: th.Tensor) -> tuple[th.Tensor, None]:
-        (gradient,) = gradients
-        return -ctx.coef * gradient, None
 
 
 def reverse_gradient(x: th.Tensor, coef: float) -> th.Tensor:
@@ -130,7 +109,10 @@ def reverse_gradient(x: th.Tensor, coef: float) -> th.Tensor:
         x: Any tensor.
         coef: C_g, at least 0; 0 lets no gradient through.
     """
-    return _ReverseGradient.apply(x, coef)  # type: ignore[no-untyped-call]
+    same = x.view_as(x)
+    if same.requires_grad:
+        same.register_hook(lambda gradient: -coef * gradient)
+    return same
 
 
 class ThirdPersonDiscriminator(nn.Module):

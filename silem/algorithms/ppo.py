@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,16 +21,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from silem.algorithms import state
 from silem.algorithms.fast_mlp import Batch, FlatActorCritic, Losses
 from silem.algorithms.networks import RunningNormalizer
-from silem.util.errors import (
-    COUNT,
-    FACTOR,
-    RATE,
-    WEIGHT,
-    NumberKind,
-    SilemError,
-    check_numbers,
-    choose,
-)
+from silem.util import errors
+from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError
 
 _EPISODE_STATS = {"r": "return_mean", "speed_m_s": "speed_m_s", "l": "episode_length"}
 _OF_THE_FILE = {"self", "policy", "args", "kwargs", "normalize_observations", "_init_setup_model"}
@@ -106,7 +99,9 @@ class PPO(SB3PPO):
         for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
             allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
         for name in kwargs:
-            choose(f"argument of {cls.__name__}.load", name, sorted(allowed.keys() - _OF_THE_FILE))
+            errors.choose(
+                f"argument of {cls.__name__}.load", name, sorted(allowed.keys() - _OF_THE_FILE)
+            )
         if "stats_window_size" in kwargs:
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
@@ -261,7 +256,7 @@ class PPO(SB3PPO):
     def _check_numbers(self, values: dict[str, Any]) -> None:
         # a learning rate may be a schedule
         numbers = {name: value for name, value in values.items() if not callable(value)}
-        check_numbers(numbers, self._numbers)
+        errors.check_numbers(numbers, self._numbers)
 
     def _check_settings(self) -> None:
         """Check the arguments, whether the constructor or `load` put them in their places."""
@@ -342,13 +337,30 @@ class PPO(SB3PPO):
             self._n_updates += 1
             if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
                 break
-        log_std = self.policy.log_std.detach().numpy()
-        for key, value in _summary(losses, log_std, self.ent_coef, self.vf_coef).items():
-            self.logger.record(f"train/{key}", value)
-        buffer = self.rollout_buffer
-        variance = explained_variance(buffer.values.flatten(), buffer.returns.flatten())
-        self.logger.record("train/explained_variance", variance)
-        self.logger.record("train/clip_range", clip_range)
+        self._log_update(losses, clip_range)
+
+    def _log_update(self, losses: list[Losses], clip_range: float) -> None:
+        """Log what stable-baselines3's PPO does, under its names."""
+        log_std, buffer, last = (
+            self.policy.log_std.detach().numpy(),
+            self.rollout_buffer,
+            losses[-1],
+        )
+        entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
+        policy, value, approx_kl, clip_fraction = np.mean([astuple(x) for x in losses], axis=0)
+        logged = {
+            "entropy_loss": -entropy,
+            "policy_gradient_loss": policy,
+            "value_loss": value,
+            "approx_kl": approx_kl,
+            "clip_fraction": clip_fraction,
+            "loss": last.policy - self.ent_coef * entropy + self.vf_coef * last.value,
+            "std": float(np.exp(log_std).mean()),
+            "explained_variance": explained_variance(buffer.values.ravel(), buffer.returns.ravel()),
+            "clip_range": clip_range,
+        }
+        for key, number in logged.items():
+            self.logger.record(f"train/{key}", number)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
     def _record_episodes(self) -> None:
@@ -406,23 +418,3 @@ def _minibatches(
         if normalize_advantage and len(advantages) > 1:
             advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
         yield Batch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])
-
-
-def _summary(
-    losses: Sequence[Losses], log_std: np.ndarray, ent_coef: float, vf_coef: float
-) -> dict[str, float]:
-    """Return what stable-baselines3's PPO logs of an update, under its names."""
-    means = {
-        name: float(np.mean([getattr(loss, name) for loss in losses]))
-        for name in Losses.__dataclass_fields__
-    }
-    entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-    return {
-        "entropy_loss": -entropy,
-        "policy_gradient_loss": means["policy"],
-        "value_loss": means["value"],
-        "approx_kl": means["approx_kl"],
-        "clip_fraction": means["clip_fraction"],
-        "loss": losses[-1].policy - ent_coef * entropy + vf_coef * losses[-1].value,
-        "std": float(np.exp(log_std).mean()),
-    }

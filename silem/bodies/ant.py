@@ -5,7 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Motor, Part
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
+
+FAMILY = "ant"
+ENGINE: Engine = "bullet"
 
 LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
 
@@ -35,7 +38,7 @@ def body(name: str, offset: float) -> BulletBody:
     """Return the registry entry of an Ant whose innermost links have the given offset."""
     return BulletBody(
         name=name,
-        family="ant",
+        family=FAMILY,
         description=f"Ant whose links closest to the body have offset {offset:.2f}",
         build=partial(model, offset),
         root="torso",
@@ -60,7 +63,8 @@ def body(name: str, offset: float) -> BulletBody:
         alive=AliveRule(min_height_m=0.26, terminates=True),
         length=("offset of the links closest to the body", offset),
         varied=("front_left_leg", "front_right_leg", "left_back_leg", "right_back_leg"),
+        view=View((0.45, 1.0, -0.55), look_at_m=0.25, span_m=2.7 + 2 * offset),
     )
 
 
-BODIES = tuple(body(name, offset) for name, offset in LINK_OFFSETS.items())
+BODIES = {name: partial(body, name, offset) for name, offset in LINK_OFFSETS.items()}

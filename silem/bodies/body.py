@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-Family = Literal["halfcheetah", "ant", "humanoid"]
-Engine = Literal["bullet", "mujoco"]
+from silem.util.errors import SilemError, choose
+
+MAX_STEPS = 1000
+"""Steps after which an episode of every body of the paper is cut off."""
+
+Engine = Literal["bullet", "mujoco", "gymnasium"]
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,22 @@ class AliveRule:
     terminates: bool = False
 
 
+@dataclass(frozen=True)
+class View:
+    """How a body's camera looks at it, following it along the floor.
+
+    Attributes:
+        direction: Of view, in the world (x, y, z).
+        look_at_m: Height of what is in the middle of the picture.
+        span_m: Extent of what is seen there: its width for PyBullet's bodies, which are long, its
+            height for MuJoCo's, which are tall.
+    """
+
+    direction: tuple[float, float, float]
+    look_at_m: float
+    span_m: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class Body:
     """One entry of the registry: what every simulator's bodies have.
@@ -68,16 +88,38 @@ class Body:
         motors: The actuators, in the order of the action and of the joints in the model.
         length: Name and value, in metres, of what sets the body apart in its family.
         varied: Links that have that length.
+        view: How it is looked at.
+        control_step_s: Length of one control step.
+        max_steps: Control steps after which an episode is cut off.
+        parameters: What can be chosen of it, and its choice, by name.
+        variants: Returns the body for other values of its parameters.
     """
 
     name: str
-    family: Family
+    family: str
     engine: Engine
     description: str
-    build: Callable[[], str] = field(repr=False)
+    build: Callable[[], str] = field(repr=False, compare=False)
     motors: tuple[Motor, ...]
     length: tuple[str, float]
     varied: tuple[str, ...]
+    view: View
+    control_step_s: float
+    max_steps: int = MAX_STEPS
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
+    variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
+
+    def variant(self, **parameters: float) -> Body:
+        """Return this body with other values of some of its parameters.
+
+        Raises:
+            SilemError: If it has no such parameter, or a value is not allowed.
+        """
+        for name in parameters:
+            choose(f"parameter of body {self.name!r}", name, self.parameters)
+        if self.variants is None or dict(self.parameters) == {**self.parameters, **parameters}:
+            return self
+        return self.variants(**{**self.parameters, **parameters})
 
     def model_xml(self) -> str:
         """Return the model file's text."""
@@ -105,6 +147,7 @@ class BulletBody(Body):
     """
 
     engine: Engine = "bullet"
+    control_step_s: float = 0.0165  # of PyBullet's locomotion tasks
     root: str
     root_joints: tuple[str, ...]
     feet: tuple[str, ...]
@@ -160,16 +203,50 @@ class MujocoBody(Body):
         skeleton: Its landmarks.
         n_substeps: Simulation steps in one control step; the model's timestep times this is
             `control_step_s`.
-        control_step_s: Length of one control step.
         standing_pose: Position of all joints when it stands, soles on the floor, (nq,).
         standing_head_m: Height of the head from which the reward counts it as standing.
         fall_head_m: Height of the head below which an episode ends.
+        target_speed_m_s: Speed of the centre of mass that earns the full reward.
     """
 
     engine: Engine = "mujoco"
+    control_step_s: float = 0.025
     skeleton: Skeleton
     n_substeps: int = 5
-    control_step_s: float = 0.025
     standing_pose: tuple[float, ...]
     standing_head_m: float
     fall_head_m: float
+    target_speed_m_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class GymnasiumBody(Body):
+    """Whatever a Gymnasium environment moves; its name is the environment's id.
+
+    It is its own family, and nothing of its model is known: g is the identity, or what the
+    environment's ``info`` supplies.
+    """
+
+    engine: Engine = "gymnasium"
+    family: str = "gymnasium"
+    description: str = "a Gymnasium environment"
+    build: Callable[[], str] = field(default=str, repr=False, compare=False)
+    motors: tuple[Motor, ...] = ()
+    length: tuple[str, float] = ("", 0.0)
+    varied: tuple[str, ...] = ()
+    view: View = View((0.0, 1.0, 0.0), 0.0, 1.0)
+    control_step_s: float = 1.0
+
+    @property
+    def action_size(self) -> int:
+        """Number of continuous actions.
+
+        Raises:
+            SilemError: The environment's actions are others.
+        """
+        import gymnasium  # which no body of the paper needs
+
+        space = gymnasium.make(self.name).action_space
+        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+            raise SilemError(f"{self.name} takes no vector of continuous actions but {space}")
+        return int(space.shape[0])

@@ -5,7 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Motor, Part
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
+
+FAMILY = "halfcheetah"
+ENGINE: Engine = "bullet"
 
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 
@@ -44,7 +47,7 @@ def body(name: str, torso_length_m: float) -> BulletBody:
     """Return the registry entry of a HalfCheetah with a torso of the given length."""
     return BulletBody(
         name=name,
-        family="halfcheetah",
+        family=FAMILY,
         description=f"HalfCheetah with a torso of length {torso_length_m:g}",
         build=partial(model, torso_length_m),
         root="torso",
@@ -59,7 +62,8 @@ def body(name: str, torso_length_m: float) -> BulletBody:
         alive=AliveRule(max_pitch_rad=1.0, no_contact=("fshin", "fthigh", "bshin", "bthigh")),
         length=("length of the torso", torso_length_m),
         varied=("torso",),
+        view=View((0.0, 1.0, -0.18), look_at_m=0.42, span_m=1.5 + torso_length_m),
     )
 
 
-BODIES = tuple(body(name, length) for name, length in TORSO_LENGTHS_M.items())
+BODIES = {name: partial(body, name, length) for name, length in TORSO_LENGTHS_M.items()}

@@ -1,18 +1,27 @@
-"""Humanoid, the dm_control suite's, and HumanoidR with a long right and a short left arm."""
+"""The family of humanoids: dm_control's Humanoid, HumanoidR with unequal arms, and Atlas.
+
+HumanoidR has a long right and a short left arm. Atlas has a module of its own.
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
 import xml.etree.ElementTree as ElementTree
 from functools import partial
 from importlib.resources import files
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
-from silem.bodies.body import Motor, MujocoBody, Skeleton
+from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View
 from silem.util.errors import SilemError
+
+if TYPE_CHECKING:
+    import mujoco
+
+FAMILY = "humanoid"
+ENGINE: Engine = "mujoco"
 
 ARM_FACTORS = {"left": 0.5, "right": 1.5}
 """HumanoidR's arm lengths as multiples of Humanoid's. The paper says "elongating Humanoid's right
@@ -20,6 +29,9 @@ arm and shortening its left arm" and gives no factor."""
 
 STANDING_HEAD_M = 1.4  # of dm_control's reward
 FALL_HEAD_M = 1.0  # of merel-mocap-gail, the code that the paper started from
+DEMONSTRATOR_SPEED_M_S = 1.6
+"""Mean speed of the man in clip 08_01: 3.679 m in 2.30 s."""
+
 UNSCALED = {"left": 1.0, "right": 1.0}
 
 SKELETON = Skeleton(
@@ -38,7 +50,7 @@ SKELETON = Skeleton(
     right_knee="right_shin",
     right_foot="right_foot",
 )
-_SUITE = files("dm_control") / "suite"  # read, not imported: that would load every task of it
+_AZIMUTH_RAD, _ELEVATION_RAD = math.radians(125), math.radians(-12)  # from the front left
 _ARM_LINKS = ("upper_arm", "lower_arm", "hand")
 
 
@@ -69,42 +81,51 @@ def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
     """
     build = partial(model, arms["left"], arms["right"])
     scaled = [side for side, factor in arms.items() if factor != 1.0]
-    facts = _facts(build())
     return MujocoBody(
         name=name,
-        family="humanoid",
         description=description,
         build=build,
-        motors=facts.motors,
-        length=("length of the right arm", facts.arm_length_m),
         varied=tuple(f"{side}_{link}" for side in scaled for link in _ARM_LINKS),
         skeleton=SKELETON,
-        standing_pose=facts.standing_pose,
         standing_head_m=STANDING_HEAD_M,
         fall_head_m=FALL_HEAD_M,
+        **common(STANDING_HEAD_M),
+        **_measured(build()),
     )
 
 
-class _Facts(NamedTuple):
-    motors: tuple[Motor, ...]
-    standing_pose: tuple[float, ...]
-    arm_length_m: float
+def common(standing_head_m: float) -> dict[str, Any]:
+    """Return what all humanoids share: family, target of their task, and how they are seen."""
+    across = math.cos(_ELEVATION_RAD)
+    direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))
+    return {
+        "family": FAMILY,
+        "target_speed_m_s": DEMONSTRATOR_SPEED_M_S,
+        "view": View(
+            direction=(*direction, math.sin(_ELEVATION_RAD)),
+            look_at_m=0.55 * standing_head_m,
+            span_m=4.2 * math.tan(math.pi / 8) * standing_head_m,  # from 2.1 of its heights
+        ),
+    }
 
 
-def _facts(xml: str) -> _Facts:
+def _measured(xml: str) -> dict[str, Any]:
     """Read off the compiled model what its registry entry needs."""
+    import mujoco
+
     compiled = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
-    motors = []
-    for index in range(compiled.nu):
-        joint = compiled.joint(compiled.actuator_trnid[index, 0]).name
-        motors.append(Motor(joint, float(compiled.actuator_gear[index, 0])))
+    joints = [compiled.joint(index).name for index in compiled.actuator_trnid[:, 0]]
     pose = compiled.qpos0.copy()
     pose[2] -= _lowest_point_m(compiled, data)
     arm = [data.body(f"right_{link}").xpos for link in _ARM_LINKS]
     length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(arm))
-    return _Facts(tuple(motors), tuple(pose.tolist()), round(length_m, 6))
+    return {
+        "motors": tuple(map(Motor, joints, compiled.actuator_gear[:, 0].tolist())),
+        "length": ("length of the right arm", round(length_m, 6)),
+        "standing_pose": tuple(pose.tolist()),
+    }
 
 
 def _lowest_point_m(compiled: mujoco.MjModel, data: mujoco.MjData) -> float:
@@ -119,8 +140,9 @@ def _lowest_point_m(compiled: mujoco.MjModel, data: mujoco.MjData) -> float:
 
 
 def _read(name: str) -> ElementTree.Element:
-    """Return one of the suite's files."""
-    return ElementTree.fromstring((_SUITE / name).read_text(encoding="utf-8"))
+    """Return one of the suite's files, read without loading every task of it."""
+    path = files("dm_control") / "suite" / name
+    return ElementTree.fromstring(path.read_text(encoding="utf-8"))
 
 
 def _inline_includes(root: ElementTree.Element) -> None:
@@ -156,7 +178,16 @@ def _scale(element: ElementTree.Element, attribute: str, factor: float) -> None:
     element.set(attribute, " ".join(f"{value:.6g}" for value in values))
 
 
-BODIES = (
-    body("Humanoid", "dm_control's humanoid", UNSCALED),
-    body("HumanoidR", "Humanoid with a longer right and a shorter left arm", ARM_FACTORS),
-)
+def _atlas() -> MujocoBody:
+    from silem.bodies import atlas  # which needs MuJoCo
+
+    return atlas.body()
+
+
+BODIES = {
+    "Humanoid": partial(body, "Humanoid", "dm_control's humanoid", UNSCALED),
+    "HumanoidR": partial(
+        body, "HumanoidR", "Humanoid with a longer right and a shorter left arm", ARM_FACTORS
+    ),
+    "Atlas": _atlas,
+}

@@ -1,21 +1,22 @@
-"""What every batch of environments has in common: arguments, seeds, and what it refuses."""
+"""What all environments share, single and batched: arguments, seeds, pictures, what is refused."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol, SupportsFloat
 
 import gymnasium
 import numpy as np
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from silem.envs.filmed import Filmed
+from silem.bodies import Body
 from silem.util.errors import SilemError, choose
 
-MAX_STEPS = 1000
+RENDER_MODES = ("rgb_array",)
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -30,18 +31,144 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
         raise SilemError(f"actions are not numbers: {error}") from error
     if array.shape != shape:
         raise SilemError(f"actions of shape {array.shape}; expected {shape}")
-    if not math.isfinite(float(array.sum())):
+    if not math.isfinite(np.add.reduce(array, axis=None)):
         raise SilemError("actions contain NaN or infinity")
     return array
+
+
+class Pictures(Protocol):
+    """A camera."""
+
+    def picture(self) -> np.ndarray:
+        """Return a picture (H, W, 3), uint8."""
+
+    def close(self) -> None:
+        """Give back what the camera holds."""
+
+
+class Filmed:
+    """A body's environment, with a camera that is set up when the first picture is wanted.
+
+    Attributes:
+        body: The body.
+        render_mode: "rgb_array" to be able to render, or None.
+        metadata: The render modes there are, and as `render_fps` the control steps per second.
+        picture_size: Width and height in pixels, to be set before the first picture.
+    """
+
+    body: Body
+    render_mode: str | None
+    metadata: dict[str, Any]
+    picture_size: tuple[int, int] = (640, 480)
+    _camera: Pictures | None = None
+
+    def _set_up(self, body: Body, render_mode: str | None) -> None:
+        self.body = body
+        if render_mode is not None:
+            choose("render mode", render_mode, RENDER_MODES)
+        self.render_mode = render_mode
+        fps = round(1 / body.control_step_s)
+        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": fps}
+
+    def _action_space(self) -> gymnasium.spaces.Box:
+        return gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
+
+    def _is_reset(self) -> bool:
+        """Tell whether there is an episode to go on with."""
+        raise NotImplementedError
+
+    def _make_camera(self) -> Pictures:
+        """Return a camera on the environment, or on the first of several."""
+        raise NotImplementedError
+
+    def _picture(self) -> np.ndarray:
+        """Return a picture (H, W, 3), uint8; raises SilemError where there can be none."""
+        if not self._is_reset():
+            raise SilemError("render before reset")
+        if self._camera is None:
+            self._camera = self._make_camera()
+        return self._camera.picture()
+
+    def close(self) -> None:
+        """Give back the camera; closing twice is allowed."""
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+
+class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
+    """One body as a Gymnasium environment; `gymnasium.make("silem/HC0-v0")` limits its steps."""
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
+
+    def __init__(
+        self,
+        body: Body,
+        observation_space: gymnasium.spaces.Box,
+        render_mode: str | None,
+        picture_size: tuple[int, int],
+    ) -> None:
+        self._set_up(body, render_mode)
+        self.observation_space, self.action_space = observation_space, self._action_space()
+        self.picture_size = picture_size
+
+    def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; return its first observation (O,) and info."""
+        raise NotImplementedError
+
+    def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
+        """Step by one control step; return observation (O,), reward, whether it fell, info."""
+        raise NotImplementedError
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; a seed makes it, and what follows, repeatable.
+
+        Returns:
+            The first observation (O,), float32, and the body's info (see `step`).
+        """
+        super().reset(seed=seed)
+        return self._begin()
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step by one control step.
+
+        Args:
+            action: (A,); torques are clipped at -1 and 1.
+
+        Returns:
+            Observation (O,), float32, reward, whether the body has fallen, False, and an info:
+            humanoids' with "skeletal_features" (F,), others' empty.
+
+        Raises:
+            SilemError: If the action has another shape or is not finite, or before `reset`.
+        """
+        checked = check_actions(action, (self.body.action_size,))
+        if not self._is_reset():
+            raise SilemError("step before reset")
+        observation, reward, fallen, info = self._advance(checked)
+        return observation, reward, fallen, False, info
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture (H, W, 3), uint8, or None without a render mode.
+
+        Raises:
+            SilemError: Before `reset`, or where nothing can be drawn.
+        """
+        return None if self.render_mode is None else self._picture()
 
 
 class BatchedEnv(Filmed, VecEnv):
     """E environments with the same body, behind one object.
 
     An environment that ends is reset at once, as stable-baselines3 expects. Its info then holds
-    `terminal_observation` (O,), `TimeLimit.truncated` (whether only the step limit ended it) and
-    `episode`: return `r`, length `l`, seconds since the environments were built `t`, mean speed
-    `speed_m_s`, and share of the steps upright `upright`.
+    `terminal_observation` (O,), `TimeLimit.truncated` (whether only the step limit ended it) and,
+    as from stable-baselines3's `Monitor`, `episode`: return `r`, length `l`, seconds since the
+    environments were built `t`, beside it mean speed `speed_m_s` and share of the steps upright
+    `upright`.
 
     After `seed(s)`, `reset()` makes everything that follows equal, bit for bit, to a newly made
     instance with that seed, whatever happened before.
@@ -52,11 +179,14 @@ class BatchedEnv(Filmed, VecEnv):
 
     def __init__(
         self,
+        body: Body,
+        observation_space: gymnasium.spaces.Box,
         n_envs: int,
-        spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]],
         seed: int,
-        max_steps: int,
+        max_steps: int | None,
+        render_mode: str | None,
     ) -> None:
+        max_steps = body.max_steps if max_steps is None else max_steps
         for name, value in (("n_envs", n_envs), ("max_steps", max_steps)):
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
@@ -64,7 +194,10 @@ class BatchedEnv(Filmed, VecEnv):
         self._generators: list[np.random.Generator] = []
         self._built_at = time.perf_counter()
         self._actions: np.ndarray | None = None
-        super().__init__(int(n_envs), *spaces)
+        self._set_up(body, render_mode)
+        metadata = self.metadata
+        super().__init__(int(n_envs), observation_space, self._action_space())
+        self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.seed(seed)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -82,13 +215,20 @@ class BatchedEnv(Filmed, VecEnv):
         self._next_generators = [np.random.default_rng(s) for s in root.spawn(self.num_envs)]
         return [seed] * self.num_envs
 
+    def _take_seed(self) -> bool:
+        """Go over to the latest seed's random streams; return whether there are such."""
+        if not self._next_generators:
+            return False
+        self._generators, self._next_generators = self._next_generators, []
+        return True
+
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
 
         Raises:
             SilemError: If they have another shape or are not finite.
         """
-        self._actions = check_actions(actions, (self.num_envs, *(self.action_space.shape or ())))
+        self._actions = check_actions(actions, (self.num_envs, self.body.action_size))
 
     def _take_actions(self) -> np.ndarray:
         """Return the actions (E, A) to step with; raises SilemError where there can be no step."""
@@ -97,6 +237,16 @@ class BatchedEnv(Filmed, VecEnv):
         actions, self._actions = self._actions, None
         return actions
 
+    def _last_info(
+        self, observation: np.ndarray, terminated: bool, episode: dict[str, float]
+    ) -> dict[str, Any]:
+        """Return the info of an episode that ends with an observation (O,)."""
+        return {
+            "terminal_observation": observation,
+            "TimeLimit.truncated": not terminated,
+            "episode": episode | {"t": time.perf_counter() - self._built_at},
+        }
+
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment.
 
@@ -104,17 +254,17 @@ class BatchedEnv(Filmed, VecEnv):
             mode: "rgb_array" or None, which means the same.
 
         Raises:
-            SilemError: For any other mode, before the first reset, or where nothing can be drawn.
+            SilemError: For any other mode, in environments without a render mode, before the first
+                reset, or where nothing can be drawn.
         """
-        choose("render mode", mode or "rgb_array", ["rgb_array"])
+        choose("render mode", mode or "rgb_array", RENDER_MODES)
+        if self.render_mode is None:
+            raise SilemError("no pictures with render_mode None; allowed: render_mode='rgb_array'")
         return self._picture()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return the picture of the first environment, the only one that is drawn."""
         return [self.render()]
-
-    def _since_built_s(self) -> float:
-        return time.perf_counter() - self._built_at
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return an attribute, which all environments share, once per index."""
@@ -122,12 +272,16 @@ class BatchedEnv(Filmed, VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refuse: the environments share their attributes.
+        """Set an attribute of all environments, which share it.
 
         Raises:
-            SilemError: Always.
+            SilemError: If there is no such attribute, or it is to be set in some of them only.
         """
-        raise SilemError(f"{attr_name!r} of a {type(self).__name__} cannot be set per environment")
+        if not hasattr(self, attr_name):
+            raise SilemError(f"a {type(self).__name__} has no attribute {attr_name!r} to set")
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
+            raise SilemError(f"{attr_name!r} is shared: it can be set in all environments only")
+        setattr(self, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
@@ -144,5 +298,8 @@ class BatchedEnv(Filmed, VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Return False once per index: there are no wrappers."""
-        return [False for _ in self._get_indices(indices)]
+        """Tell once per index whether the environments do what a wrapper does.
+
+        There are no wrappers, but an episode's last info is what `Monitor` would put there.
+        """
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]

@@ -1,99 +1,351 @@
-"""The demonstrator's clips as published demonstrations: written once, read with no raw file."""
+"""Motion capture as CMU publishes it: skeletons (ASF) and clips (AMC), fetched, read and checked.
+
+dm_control turns a frame into a pose (`silem.motion.demonstrator`) but takes every file on trust: a
+bone that is missing shifts all numbers after it. So files are checked here. Of their form much is
+left open, as it differs from file to file: line ends, blank lines, tabs, remarks, upper and lower
+case, the order of sections. Of their numbers nothing is; an error names file, line and bone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import codecs
+import hashlib
+import http.client
+import os
+import urllib.request
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-from tqdm import tqdm
+import numpy as np
 
-from silem.motion import demonstrations as demos
-from silem.motion import fetch
-from silem.motion.demonstrations import Demonstrations
-from silem.motion.demonstrator import (
-    BODY,
-    CAPTURE_RATE_HZ,
-    CLIPS,
-    FLOOR_SLOPE,
-    Motion,
-    load_motion,
+from silem.util import files, paths
+from silem.util.errors import SilemError, choose
+
+URL = "http://mocap.cs.cmu.edu/subjects/"
+ENV = "SILEM_MOCAP_DIR"
+"""Environment variable: a folder that holds the files already, as 08/08.asf, 08/08_01.amc, ..."""
+
+SHA256 = {
+    "08/08.asf": "b4e0a77603de53d276e0cc564810e83b43df2b79e2f6abac43195aad5b6d7c76",
+    "08/08_01.amc": "08345dab7d5d0b1be323ed7f016ae78a1cbf980129a013812afcd8639074513e",
+    "08/08_02.amc": "d318b2a66b9f7cf69099d6d10dc2a83817fbc9059d76b6ba9c6cfaad50fd16d1",
+    "08/08_03.amc": "dc0f3790c96b704bf5c0ec18e4ead1f2b3e3903e78aa31b3da3be5087a8dab16",
+    "08/08_04.amc": "29d629f9d7b97675bbf99403461321c1d1326db52bff40a63aaf7bb9102d3702",
+    "08/08_05.amc": "d7488ac9be4717d913f21ce008359dd9f2e6cb91b478e957e06f2aec13c8104b",
+    "08/08_06.amc": "1749b0ca0b5e55e3dcaa73358a096dc23aa1769b7f1ddaa15c312e4c5b1544cb",
+    "08/08_07.amc": "fdf976cb96d89eb7dc8a6aad65aaa467cce9bb2ec6beeb738c11d23931f25812",
+    "08/08_08.amc": "08efebec89f9eb10d8d821a182715cc341b629300764894efc40f0093691933f",
+    "08/08_09.amc": "7a0f788e8a86a7fe0c7e710a374d3f9ed8ab5e673b512ebec6bc6a5e87a5a525",
+    "08/08_10.amc": "9e181a77c215f83f184d1fe81ecbcd77c50e4875c5dbfd7e61ff2b4581b96cca",
+    "08/08_11.amc": "de1a5a81b718d201261e592588ee2660676714154e0d15236a1d8079c5080038",
+}
+"""SHA-256 of each file with LF line ends; the server's own line ends may be CR LF."""
+
+LICENCE = "free for all uses"
+ACKNOWLEDGEMENT = (
+    "The data used in this project was obtained from mocap.cs.cmu.edu. "
+    "The database was created with funding from NSF EIA-0196217."
 )
+"""What CMU asks to be said wherever its data are used."""
 
-FEATURES_VERSION = 1
-"""How a clip becomes features: to be raised, and the clips published anew, when numbers change."""
-
-_EXTRA = ("qpos", "qvel", "points", "torso_axes", "com_velocity")
-
-
-def published_name(clip: str) -> str:
-    """Return the name of a clip's demonstrations: "cmu_08_01" for the clip "08_01"."""
-    return f"cmu_{clip}"
+ROOT = "root"
+_FOLDER = "mocap"  # of the data folder; git ignores it
+_ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
+_AXES = ("rx", "ry", "rz")
+_LONGEST_FRAME_NUMBER = 9  # digits
 
 
-def demonstrations_of(motion: Motion) -> Demonstrations:
-    """Return a motion as demonstrations of one trajectory, all else about it as extra arrays."""
-    extra = {name: getattr(motion, name) for name in _EXTRA}
-    return Demonstrations((motion.features,), body=BODY, extra=extra)
+def mocap_file(name: str) -> Path:
+    """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
+    What the cache lacks is downloaded from CMU's server. Either way the content is checked.
 
-def published_motion(clip: str) -> Motion:
-    """Return the motion that was published for a clip, one of `CLIPS`.
+    Args:
+        name: The file, for example "08/08_01.amc".
 
     Raises:
-        SilemError: It was not published, or its file is damaged.
+        SilemError: The name is unknown, the file is not in that folder, it cannot be downloaded,
+            or its SHA-256 is not the one expected (in the cache it is then kept aside, under the
+            same name and ".mismatch").
     """
-    about = demos.entry(published_name(clip))
-    there = Demonstrations.load(published_name(clip))
-    return Motion(
-        name=clip,
-        rate_hz=about["rate_hz"],
-        features=there.features[0],
-        repairs=tuple(about["repairs"]),
-        **there.extra,
+    choose("motion capture file", name, SHA256)
+    own = os.environ.get(ENV)
+    path = (Path(own).expanduser() if own else paths.data_dir() / _FOLDER) / name
+    cached = path.is_file()
+    if own and not cached:
+        raise SilemError(f"{path} is missing; {ENV} must hold it, or be unset to download it")
+    content = path.read_bytes() if cached else _download(name, path)
+    found = hashlib.sha256(content.replace(b"\r\n", b"\n")).hexdigest()
+    if found == SHA256[name]:
+        if not cached:
+            files.write_bytes(path, content)
+        return path
+    kept = ""
+    if not own:
+        aside = path.with_name(path.name + ".mismatch")
+        files.write_bytes(aside, content)
+        path.unlink(missing_ok=True)
+        kept = f"; it is kept as {aside}"
+    raise SilemError(
+        f"{path} is not CMU's {name} (SHA-256 with LF line ends): found {found},"
+        f" expected {SHA256[name]}{kept}"
     )
 
 
-def publish_clips(clips: Sequence[str] = CLIPS, *, progress: bool = False) -> list[Path]:
-    """Compute clips from the raw files (`silem.motion.fetch`) and publish them.
+def _download(name: str, path: Path) -> bytes:
+    try:
+        with urllib.request.urlopen(URL + name, timeout=60) as answer:
+            content: bytes = answer.read()
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        raise SilemError(
+            f"cannot download {URL}{name} ({type(error).__name__}); with no network, put the file"
+            f" at {path} by hand, or set {ENV} to a folder that holds {name}"
+        ) from error
+    return content
+
+
+@dataclass(frozen=True)
+class Bone:
+    """A bone of a skeleton.
+
+    Attributes:
+        axes: The axes about which it turns ("rx", ...), none if it does not move.
+        length: In the file's unit; NaN where the file does not say it.
+        frame_deg: Orientation of its own axes, turns about x, y and z in this order; NaN where the
+            file does not say it.
+    """
+
+    axes: tuple[str, ...] = ()
+    length: float = float("nan")
+    frame_deg: tuple[float, ...] = (float("nan"),) * 3
+
+
+@dataclass(frozen=True)
+class AsfSkeleton:
+    """A skeleton file.
+
+    Attributes:
+        path: The file.
+        bones: All bones by name, the root left out, in the file's order.
+    """
+
+    path: Path
+    bones: dict[str, Bone]
+
+    @property
+    def dof(self) -> dict[str, tuple[str, ...]]:
+        """The axes of each bone that moves."""
+        return {name: bone.axes for name, bone in self.bones.items() if bone.axes}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of a frame's numbers: "root0" to "root5", then bone and axis ("ltibiarx")."""
+        bones = (f"{bone}{axis}" for bone, axes in self.dof.items() for axis in axes)
+        return (*(f"{ROOT}{i}" for i in range(6)), *bones)
+
+
+@dataclass(frozen=True)
+class AmcClip:
+    """The frames of a clip.
+
+    Attributes:
+        path: The file.
+        skeleton: The skeleton that its numbers refer to.
+        frames: (N, C) numbers in the order of the skeleton's columns: the root's position in the
+            file's unit of length, then angles in degrees.
+        first: Number of the first frame.
+    """
+
+    path: Path
+    skeleton: AsfSkeleton
+    frames: np.ndarray
+    first: int = 1
+
+
+class _Line(NamedTuple):
+    """One line of a text file, split into words in lower case."""
+
+    path: Path
+    number: int
+    words: list[str]
+
+    def error(self, problem: str) -> SilemError:
+        return SilemError(f"{self.path}, line {self.number}: {problem}")
+
+    def numbers(self, bone: str, texts: list[str], n: int) -> list[float]:
+        """Return n texts of a bone as numbers."""
+        if len(texts) != n:
+            raise self.error(f"bone {bone!r} has {len(texts)} values, allowed: {n}")
+        try:
+            values = [float(text.replace("_", "?")) for text in texts]  # Python's 1_0 is no 10
+        except ValueError:
+            raise self.error(f"bone {bone!r} holds what is no number: {' '.join(texts)}") from None
+        if not np.isfinite(values).all():
+            raise self.error(f"bone {bone!r} holds NaN or infinity: {' '.join(texts)}")
+        return values
+
+
+def _lines(path: Path) -> list[_Line]:
+    """Read the lines of a text file that are neither blank nor a remark."""
+    try:
+        content = path.read_bytes().removeprefix(codecs.BOM_UTF8)
+    except OSError as error:
+        raise SilemError(f"cannot read {path}: {error.strerror or error}") from error
+    if b"\0" in content:
+        raise SilemError(f"{path} is no text file")
+    if not content.endswith((b"\n", b"\r")):
+        raise SilemError(f"{path} is truncated: its last line has no end")
+    lines = []
+    for number, line in enumerate(content.splitlines(), start=1):
+        words = line.partition(b"#")[0].lower().split()  # of bytes: at ASCII's blanks alone
+        if words:
+            lines.append(_Line(path, number, [word.decode("latin-1") for word in words]))
+    return lines
+
+
+def read_asf(path: Path | str) -> AsfSkeleton:
+    """Read a skeleton.
 
     Args:
-        clips: Which ones.
-        progress: Show a progress bar.
-
-    Returns:
-        The files, one per clip; the same clip always gives the same bytes.
+        path: The ASF file.
 
     Raises:
-        SilemError: As `load_motion`, or another process is publishing.
+        SilemError: The file is missing or truncated; it is not in degrees, or its root is not as
+            CMU's; or a bone is without name, there twice, or not in the hierarchy.
     """
-    written = []
-    with demos.publishing():
-        for clip in tqdm(clips, "clips", disable=not progress):
-            motion = load_motion(clip)
-            written.append(
-                demos.publish(published_name(clip), demonstrations_of(motion), _about(motion))
-            )
-    return written
+    path = Path(path)
+    sections: dict[str, list[_Line]] = {}
+    section: list[_Line] = []
+    for line in _lines(path):
+        if line.words[0].startswith(":"):
+            section = sections.setdefault(line.words[0], [])
+        else:
+            section.append(line)
+    for name in (":root", ":bonedata", ":hierarchy"):
+        if not sections.get(name):
+            raise SilemError(f"{path} has no section {name}: it is truncated or no ASF file")
+    _expect(sections.get(":units", []), {"angle": ["deg"]})
+    _expect(sections[":root"], {"order": _ROOT_ORDER, "axis": ["xyz"]})
+    for line in sections[":root"]:
+        if line.words[0] == "orientation" and any(line.numbers(ROOT, line.words[1:], 3)):
+            raise line.error("the root is turned; allowed: orientation 0 0 0")
+    bones = _bones(sections[":bonedata"])
+    _check_hierarchy(sections[":hierarchy"], bones)
+    return AsfSkeleton(path, bones)
 
 
-def _about(motion: Motion) -> dict[str, Any]:
-    """Return what the manifest says of a clip."""
-    subject = motion.name.partition("_")[0]
-    source = f"{subject}/{motion.name}.amc"
-    return {
-        "clip": motion.name,
-        "source": fetch.URL + source,
-        "source_sha256": fetch.SHA256[source],
-        "skeleton_source": f"{fetch.URL}{subject}/{subject}.asf",
-        "licence": fetch.LICENCE,
-        "acknowledgement": fetch.ACKNOWLEDGEMENT,
-        "capture_rate_hz": CAPTURE_RATE_HZ,
-        "rate_hz": motion.rate_hz,
-        "n_states": len(motion.features),
-        "duration_s": round(motion.duration_s, 6),
-        "speed_m_s": round(motion.speed_m_s, 6),
-        "floor_slope": FLOOR_SLOPE,
-        "repairs": list(motion.repairs),
-        "features_version": FEATURES_VERSION,
-    }
+def _expect(lines: list[_Line], wanted: dict[str, list[str]]) -> None:
+    for line in lines:
+        key, *values = line.words
+        if wanted.get(key, values) != values:
+            allowed = " ".join(wanted[key])
+            raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
+
+
+def _bones(lines: list[_Line]) -> dict[str, Bone]:
+    bones: dict[str, Bone] = {}
+    name = ""
+    for line in lines:
+        key, *values = line.words
+        if key == "begin":
+            name = ""
+        elif key == "name":
+            if len(values) != 1 or values[0] in bones:
+                raise line.error(f"a bone needs one name of its own, not {' '.join(values)!r}")
+            name = values[0]
+            bones[name] = Bone()
+        elif key in ("dof", "length", "axis"):
+            if not name:
+                raise line.error(f"{key} of a bone without name; allowed: after the bone's name")
+            bones[name] = _described(bones[name], name, line)
+    return bones
+
+
+def _described(bone: Bone, name: str, line: _Line) -> Bone:
+    """Return a bone with what one line says of it."""
+    key, *values = line.words
+    if key == "length":
+        return replace(bone, length=line.numbers(name, values, 1)[0])
+    if key == "axis":
+        if values[3:] not in ([], ["xyz"]):
+            raise line.error(f"bone {name!r} has axes {' '.join(values[3:])!r}; allowed: 'xyz'")
+        return replace(bone, frame_deg=tuple(line.numbers(name, values[:3], 3)))
+    if len(set(values)) != len(values) or not set(values) <= set(_AXES):
+        raise line.error(f"bone {name!r} turns about {values}; allowed: {', '.join(_AXES)}")
+    return replace(bone, axes=tuple(values))
+
+
+def _check_hierarchy(lines: list[_Line], bones: Iterable[str]) -> None:
+    linked = {ROOT}
+    for line in lines[1:-1]:  # between "begin" and "end"
+        unknown = [bone for bone in line.words if bone not in (ROOT, *bones)]
+        if unknown:
+            raise line.error(f"unknown bone {unknown[0]!r}: the file describes no such bone")
+        linked.update(line.words[1:])
+    if lines[0].words != ["begin"] or lines[-1].words != ["end"]:
+        raise lines[-1].error("the hierarchy is not from 'begin' to 'end': it is truncated")
+    loose = [bone for bone in bones if bone not in linked]
+    if loose:
+        raise lines[-1].error(f"bone {loose[0]!r} hangs on no other bone")
+
+
+def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
+    """Read a clip.
+
+    Args:
+        path: The AMC file.
+        skeleton: Its skeleton, from `read_asf`.
+
+    Returns:
+        The frames, each with a number for every axis of every bone.
+
+    Raises:
+        SilemError: The file is missing or truncated, is not in degrees, or a frame is out of
+            order, lacks a bone, or has a bone that is unknown, repeated, of the wrong number of
+            values, or holds NaN or infinity.
+    """
+    path = Path(path)
+    header: list[str] = []
+    blocks: list[list[_Line]] = []
+    first = 1
+    for line in _lines(path):
+        word = line.words[0]
+        if len(line.words) == 1 and word.isdigit() and len(word) <= _LONGEST_FRAME_NUMBER:
+            first = first if blocks else int(word)
+            if int(word) != first + len(blocks):
+                raise line.error(f"frame {word} where frame {first + len(blocks)} is due")
+            blocks.append([line])
+        elif blocks:
+            blocks[-1].append(line)
+        elif word.startswith(":"):
+            header.append(word)
+        else:
+            raise line.error(f"{word!r} before the first frame; allowed: lines that begin with ':'")
+    if not blocks:
+        raise SilemError(f"{path} holds no frame: it is truncated or no AMC file")
+    if ":degrees" not in header:
+        raise SilemError(f"{path} does not say :DEGREES; allowed: angles in degrees")
+    n_values = {ROOT: 6} | {bone: len(axes) for bone, axes in skeleton.dof.items()}
+    return AmcClip(path, skeleton, np.array([_frame(block, n_values) for block in blocks]), first)
+
+
+def _frame(block: list[_Line], n_values: dict[str, int]) -> list[float]:
+    """Return a frame's numbers from the line of its number and the lines of its bones."""
+    name = f"frame {block[0].words[0]}"
+    values: dict[str, list[float]] = {}
+    for line in block[1:]:
+        bone, *texts = line.words
+        if bone not in n_values:
+            raise line.error(f"unknown bone {bone!r} in {name}: no such bone moves in the skeleton")
+        if bone in values:
+            raise line.error(f"bone {bone!r} is in {name} twice")
+        values[bone] = line.numbers(bone, texts, n_values[bone])
+    missing = [bone for bone in n_values if bone not in values]
+    if missing:
+        raise block[-1].error(
+            f"{name} ends without bone {missing[0]!r} ({len(missing)} missing):"
+            " the file is truncated or of another skeleton"
+        )
+    return [value for bone in n_values for value in values[bone]]

@@ -173,3 +173,16 @@ def publish(
     }
     files.write_json(manifest_path, dict(sorted(manifest.items())))
     return path
+
+
+def captured_speed_m_s(name: str) -> float | None:
+    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+
+    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+
+    Raises:
+        SilemError: There are no such demonstrations, or no manifest.
+    """
+    about = entry(name)
+    captured = entry(about.get("retargeted_from", name))
+    return captured["speed_m_s"] if "capture_rate_hz" in captured else None

@@ -3,11 +3,14 @@
 A clip gives the path of a man's pelvis and the angles of his joints. The model that takes them has
 nearly subject 8's bones, but both its legs are as long as his right one (the left is 3 % shorter),
 so its feet need not touch the floor where his did. `pose` sets the clip as a whole on the floor and
-leaves the rest as captured.
+leaves the rest as captured. The way of a man with other legs is scaled to the model's, or its
+planted feet would slide.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -15,14 +18,19 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from dm_control.suite import humanoid_CMU
-from dm_control.suite.utils.parse_amc import Amcvals2qpos
+from dm_control.suite.utils.parse_amc import CONVERSION_LENGTH, Amcvals2qpos
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
+from silem import bodies
 from silem.bodies.body import Skeleton
-from silem.motion import fetch, poses
-from silem.motion.features import Landmarks, skeletal_features
-from silem.motion.mocap import AmcClip, AsfSkeleton, read_amc, read_asf
-from silem.motion.soles import Soles
+from silem.motion import clips, kinematics
+from silem.motion import demonstrations as demos
+from silem.motion.clips import AmcClip, AsfSkeleton, read_amc, read_asf
+from silem.motion.demonstrations import Demonstrations
+from silem.motion.features import skeletal_features
+from silem.motion.kinematics import Soles
+from silem.util import files
 from silem.util.errors import SilemError, choose
 
 BODY = "humanoid_CMU"
@@ -32,8 +40,8 @@ CLIPS = tuple(f"08_{number:02d}" for number in range(1, 12))
 RATE_HZ = 40.0
 """The control rate of the humanoids."""
 
-CAPTURE_RATE_HZ = 120.0
-"""CMU's frame rate, which the files do not say."""
+CMU_RATE_HZ = 120.0
+"""At which subject 8 was captured. The files do not say it, and a few of CMU's have 60."""
 
 SKELETON = Skeleton(
     torso="thorax",
@@ -58,12 +66,24 @@ away, are those from `humanoid_CMU`'s thorax."""
 FLOOR_SLOPE = 0.0206
 """In all of subject 8's clips the floor rises by this much per metre walked, 1.2 degrees: the
 captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
-eleven clips, has this slope, with a standard error of 0.0006."""
+eleven clips, has this slope, with a standard error of 0.0006. Of other clips nothing is known."""
 
-MAX_HELD_FRAMES = 12
-"""A frame may be held this long, 0.1 s, for the gap to be closed by interpolation."""
+MAX_HELD_S = 0.1
+"""A frame may be held this long for the gap to be closed by interpolation."""
+
+MAX_ROOT_ACCELERATION_M_S2 = 600.0
+"""From one frame to the next: 61 times gravity, which no walking man's pelvis does."""
+
+MIN_SPEED_M_S = 0.1
+"""A clip of a man who goes no faster has no direction, and nothing for a task of walking."""
+
+FEATURES_VERSION = 1
+"""How a clip becomes features: to be raised, and the clips published anew, when numbers change."""
 
 _TURN = Rotation.from_euler("z", 90, degrees=True)  # dm_control has CMU's forward axis at -y
+_MAX_FRAME_ERROR_DEG = 5.0  # of a bone's own axes; the model's are 0.35 off subject 8's
+_SAME_LEGS = 0.01
+_PUBLISHED = ("qpos", "qvel", "points", "torso_axes", "com_velocity")
 
 
 @dataclass(frozen=True)
@@ -110,7 +130,7 @@ def model() -> mujoco.MjModel:
 
 
 def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
-    """Pose one of subject 8's clips, from the raw files (`silem.motion.fetch`).
+    """Pose one of subject 8's clips, from the raw files (`silem.motion.clips`).
 
     Args:
         clip: Its name, one of `CLIPS`.
@@ -120,46 +140,67 @@ def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
         SilemError: The clip is unknown or cannot be had, or as `read_amc` and `pose`.
     """
     choose("clip", clip, CLIPS)
-    subject = clip.partition("_")[0]
-    skeleton = read_asf(fetch.mocap_file(f"{subject}/{subject}.asf"))
-    amc = read_amc(fetch.mocap_file(f"{subject}/{clip}.amc"), skeleton)
-    return replace(pose(amc, rate_hz), name=clip)
+    skeleton = read_asf(clips.mocap_file("08/08.asf"))
+    amc = read_amc(clips.mocap_file(f"08/{clip}.amc"), skeleton)
+    motion = pose(amc, CMU_RATE_HZ, rate_hz, floor_slope=FLOOR_SLOPE, heading_rad=0.0)
+    return replace(motion, name=clip)
 
 
-def pose(clip: AmcClip, rate_hz: float = RATE_HZ, floor_slope: float = FLOOR_SLOPE) -> Motion:
+def pose(
+    clip: AmcClip,
+    capture_rate_hz: float,
+    rate_hz: float = RATE_HZ,
+    *,
+    floor_slope: float = 0.0,
+    heading_rad: float | None = None,
+) -> Motion:
     """Pose a clip on the demonstrator's model.
 
-    The world is turned so that CMU's forward axis is x, and by the floor's slope, so that the
-    floor is level. The walk starts above the origin, and is lifted (or lowered) as a whole until
-    the lowest point of the feet's shapes in the whole clip is on the floor. Frames that only
-    repeat the one before were held by the recorder, not captured: they are replaced by
-    interpolation, and `Motion.repairs` says so.
+    The world is turned so that the walk goes along x, and by the floor's slope, so that the floor
+    is level. The walk starts above the origin, and is lifted (or lowered) as a whole until the
+    lowest point of the feet's shapes in the whole clip is on the floor. Frames that only repeat the
+    one before were held by the recorder, not captured: they are replaced by interpolation. Where
+    the longer of the man's legs is not as long as the model's, his way is scaled by their ratio.
+    `Motion.repairs` says so.
 
     Args:
         clip: The frames.
-        rate_hz: States per second, up to the capture's 120. Positions and hinges are interpolated
+        capture_rate_hz: Frames per second, which the files do not say.
+        rate_hz: States per second, up to the capture's. Positions and hinges are interpolated
             linearly, the root's orientation along the great arc (slerp).
         floor_slope: By how many metres the captured floor rises per metre forward.
+        heading_rad: Direction of walking, from CMU's forward axis (z) to the left; None means from
+            the first frame's place to the last one's.
 
     Raises:
         SilemError: The clip's skeleton is not the model's, a frame is held for longer than
-            0.1 s, the root jumps as no man's can, the clip has no 3 states, or the rate is not
-            allowed.
+            0.1 s, the root jumps as no man's can, the clip has no 3 states or goes nowhere, or a
+            rate or the slope is not allowed.
     """
-    if not 0 < rate_hz <= CAPTURE_RATE_HZ:
-        raise SilemError(f"cannot resample to {rate_hz} Hz; allowed: up to {CAPTURE_RATE_HZ}")
+    if not 0 < rate_hz <= capture_rate_hz < float("inf"):
+        raise SilemError(
+            f"cannot resample {capture_rate_hz} Hz to {rate_hz} Hz; allowed: above 0 and up to"
+            " the rate of capture"
+        )
+    if not abs(floor_slope) < 1:
+        raise SilemError(f"a floor that rises by {floor_slope} m per metre; allowed: below 1")
     _check_skeleton(clip.skeleton)
     to_qpos = Amcvals2qpos(_joint_of_qpos(), clip.skeleton.columns)
     captured = np.stack([to_qpos(frame) for frame in clip.frames])
     captured[:, 7:] = np.unwrap(captured[:, 7:], axis=0)
-    captured, repairs = _fill_held(captured, clip)
-    n_states = int((len(captured) - 1) / CAPTURE_RATE_HZ * rate_hz + 1e-6) + 1
+    repairs = _scale_way(captured, clip.skeleton)
+    captured, filled = _fill_held(captured, clip, capture_rate_hz)
+    n_states = int((len(captured) - 1) / capture_rate_hz * rate_hz + 1e-6) + 1
     if n_states < 3:
         raise SilemError(f"{clip.path} gives {n_states} states at {rate_hz} Hz; allowed: 3 or more")
-    _check_root(captured, clip.path)
-    times = np.arange(len(captured)) / CAPTURE_RATE_HZ
-    qpos = poses.interpolate(_place(captured, floor_slope), times, np.arange(n_states) / rate_hz)
-    return _measure(clip.path.stem, qpos, rate_hz, repairs)
+    _check_root(captured, clip, capture_rate_hz)
+    placed = _place(captured, clip, capture_rate_hz, floor_slope, heading_rad)
+    times = np.arange(len(captured)) / capture_rate_hz
+    qpos = kinematics.interpolate(placed, times, np.arange(n_states) / rate_hz)
+    qvel = kinematics.velocities(model(), qpos, rate_hz)
+    seen = kinematics.observe(model(), SKELETON, qpos, qvel)
+    features = skeletal_features(*seen)
+    return Motion(clip.path.stem, rate_hz, qpos, qvel, *seen, features, (*repairs, *filled))
 
 
 def _joint_of_qpos() -> dict[int, str]:
@@ -173,6 +214,7 @@ def _joint_of_qpos() -> dict[int, str]:
 
 
 def _check_skeleton(skeleton: AsfSkeleton) -> None:
+    """Raise unless the bones turn about the same axes as the model's."""
     wanted = set(list(_joint_of_qpos().values())[7:])
     found = set(skeleton.columns[6:])
     for problem, joints in (("lacks", wanted - found), ("has too much", found - wanted)):
@@ -182,68 +224,208 @@ def _check_skeleton(skeleton: AsfSkeleton) -> None:
                 f"{skeleton.path} is not the skeleton of {BODY}: it {problem}"
                 f" axis {axis} of bone {bone!r} ({len(joints)} such axes)"
             )
+    data = mujoco.MjData(model())
+    data.qpos[3:7] = 1, 0, 0, 0
+    mujoco.mj_kinematics(model(), data)
+    for name in skeleton.dof:
+        angles_deg = skeleton.bones[name].frame_deg
+        if np.isnan(angles_deg).any():
+            raise SilemError(f"{skeleton.path} does not say how the axes of bone {name!r} lie")
+        frame = Rotation.from_euler("xyz", angles_deg, degrees=True)
+        theirs = Rotation.from_matrix(data.body(name).xmat.reshape(3, 3))
+        error_deg = np.degrees((theirs.inv() * frame).magnitude())
+        if error_deg > _MAX_FRAME_ERROR_DEG:
+            raise SilemError(
+                f"{skeleton.path}: the axes of bone {name!r} are {error_deg:.0f} degrees off"
+                f" {BODY}'s; allowed: {_MAX_FRAME_ERROR_DEG:g}"
+            )
 
 
-def _fill_held(captured: np.ndarray, clip: AmcClip) -> tuple[np.ndarray, tuple[str, ...]]:
+def _scale_way(captured: np.ndarray, skeleton: AsfSkeleton) -> tuple[str, ...]:
+    """Scale the root's way in place from the man's legs to the model's, if they differ."""
+    legs = [
+        skeleton.bones[f"{side}femur"].length + skeleton.bones[f"{side}tibia"].length
+        for side in "lr"
+    ]
+    theirs = float(np.max(legs)) * CONVERSION_LENGTH  # NaN if one is
+    shank, foot = model().body(SKELETON.right_knee).pos, model().body(SKELETON.right_foot).pos
+    ratio = float(np.linalg.norm(shank) + np.linalg.norm(foot)) / theirs if theirs > 0 else np.nan
+    if not np.isfinite(ratio):
+        raise SilemError(f"{skeleton.path} does not say how long the bones of the legs are")
+    if abs(ratio - 1) <= _SAME_LEGS:
+        return ()
+    captured[:, :3] *= ratio
+    return (f"the root's way is scaled by {ratio:.4f}, from the skeleton's legs to the model's",)
+
+
+def _fill_held(
+    captured: np.ndarray, clip: AmcClip, capture_rate_hz: float
+) -> tuple[np.ndarray, tuple[str, ...]]:
     """Close the gaps of frames that equal the one before; at the clip's end they are dropped."""
     held = np.append(False, (np.diff(clip.frames, axis=0) == 0).all(axis=1))
     if not held.any():
         return captured, ()
-    if poses.longest_run(held) > MAX_HELD_FRAMES:
+    true, allowed = np.flatnonzero(~held), round(MAX_HELD_S * capture_rate_hz)
+    longest = int(np.diff([*true, len(held)]).max()) - 1
+    if longest > allowed:
         raise SilemError(
-            f"{clip.path}: {poses.longest_run(held)} frames in a row only repeat the one before;"
-            f" allowed: {MAX_HELD_FRAMES}"
+            f"{clip.path}: {longest} frames in a row only repeat the one before; allowed: {allowed}"
         )
-    true = np.flatnonzero(~held)
-    frames = ", ".join(str(index + 1) for index in np.flatnonzero(held))
+    frames = ", ".join(str(index + clip.first) for index in np.flatnonzero(held))
     repair = f"frames {frames} repeat the one before: interpolated between their neighbours"
-    return poses.interpolate(captured[true], true, np.arange(true[-1] + 1)), (repair,)
+    return kinematics.interpolate(captured[true], true, np.arange(true[-1] + 1)), (repair,)
 
 
-def _check_root(captured: np.ndarray, path: Path) -> None:
-    index, change = poses.root_jump(captured, CAPTURE_RATE_HZ)
-    if change > poses.MAX_ROOT_VELOCITY_CHANGE_M_S:
+def _check_root(captured: np.ndarray, clip: AmcClip, rate_hz: float) -> None:
+    """Raise where the root's velocity changes as no man's can."""
+    velocity = np.diff(captured[:, :3], axis=0) * rate_hz
+    changes = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    at = int(changes.argmax())
+    allowed = MAX_ROOT_ACCELERATION_M_S2 / rate_hz
+    if changes[at] > allowed:
+        # the larger of the two steps is the jump
+        after = np.linalg.norm(velocity[at + 1]) >= np.linalg.norm(velocity[at])
         raise SilemError(
-            f"{path}: the root jumps at frame {index + 1}: its velocity changes by {change:.1f} m/s"
-            f" from one frame to the next; allowed: {poses.MAX_ROOT_VELOCITY_CHANGE_M_S} m/s"
+            f"{clip.path}: the root jumps at frame {at + (2 if after else 1) + clip.first}: its"
+            f" velocity changes by {changes[at]:.1f} m/s from one frame to the next;"
+            f" allowed: {allowed:.1f} m/s"
         )
 
 
-def _place(captured: np.ndarray, floor_slope: float) -> np.ndarray:
+def _place(
+    captured: np.ndarray,
+    clip: AmcClip,
+    rate_hz: float,
+    floor_slope: float,
+    heading_rad: float | None,
+) -> np.ndarray:
     """Turn a clip to x and level it, start it at the origin, set it on the floor."""
-    turn = Rotation.from_euler("y", np.arctan(floor_slope)) * _TURN
+    if heading_rad is None:
+        way = _TURN.apply(captured[-1, :3] - captured[0, :3])[:2]
+        speed_m_s = np.linalg.norm(way) * rate_hz / (len(captured) - 1)
+        if speed_m_s < MIN_SPEED_M_S:
+            raise SilemError(
+                f"{clip.path} goes nowhere: {speed_m_s:.2f} m/s from the first frame to the last;"
+                f" allowed: {MIN_SPEED_M_S} m/s or more"
+            )
+        heading_rad = np.arctan2(way[1], way[0])
+    level = Rotation.from_euler("y", np.arctan(floor_slope))
+    turn = level * Rotation.from_euler("z", -heading_rad) * _TURN
     placed = captured.copy()
     placed[:, :3] = turn.apply(captured[:, :3])
-    placed[:, 3:7] = poses.quaternions(turn * poses.rotations(captured))
+    placed[:, 3:7] = kinematics.quaternions(turn * kinematics.rotations(captured))
     placed[:, :2] -= placed[0, :2]
-    placed[:, 2] -= min(_soles_m(placed))
+    placed[:, 2] -= Soles(model(), SKELETON).lowest(placed).min()
     return placed
 
 
-def _soles_m(qpos: np.ndarray) -> list[float]:
-    """Return the height of the lowest point of the feet in each pose."""
-    compiled = model()
-    data = mujoco.MjData(compiled)
-    soles = Soles(compiled, [compiled.body(foot).id for foot in ("lfoot", "rfoot")])
-    heights = []
-    for row in qpos:
-        data.qpos[:] = row
-        mujoco.mj_kinematics(compiled, data)
-        heights.append(float(soles.lowest(data).min()))
-    return heights
+def published_name(clip: str) -> str:
+    """Return the name of a clip's demonstrations: "cmu_08_01" for "08_01"; an own clip has its."""
+    return f"cmu_{clip}" if clip in CLIPS else clip
 
 
-def _measure(name: str, qpos: np.ndarray, rate_hz: float, repairs: tuple[str, ...]) -> Motion:
-    compiled = model()
-    data, landmarks = mujoco.MjData(compiled), Landmarks(compiled, SKELETON)
-    qvel = poses.velocities(compiled, qpos, rate_hz)
-    points, torso_axes, com_velocity = [], [], []
-    for position, velocity in zip(qpos, qvel, strict=True):
-        data.qpos[:], data.qvel[:] = position, velocity
-        mujoco.mj_forward(compiled, data)
-        mujoco.mj_subtreeVel(compiled, data)
-        points.append(landmarks.points(data))
-        torso_axes.append(landmarks.torso_axes(data))
-        com_velocity.append(data.subtree_linvel[landmarks.root].copy())
-    seen = np.stack(points), np.stack(torso_axes), np.stack(com_velocity)
-    return Motion(name, rate_hz, qpos, qvel, *seen, skeletal_features(*seen), repairs)
+def published_motion(clip: str) -> Motion:
+    """Return the motion that was published for a clip: one of `CLIPS`, or an own one.
+
+    Raises:
+        SilemError: It was not published, or its file is damaged or no such motion.
+    """
+    about = demos.entry(published_name(clip))
+    there = Demonstrations.load(published_name(clip))
+    if there.body != BODY or set(there.extra) != set(_PUBLISHED):
+        raise SilemError(f"demonstrations {published_name(clip)!r} are no captured motion")
+    repairs = tuple(about["repairs"])
+    (features,) = there.features
+    return Motion(clip, about["rate_hz"], features=features, repairs=repairs, **there.extra)
+
+
+def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> list[Path]:
+    """Compute subject 8's clips from the raw files (`silem.motion.clips`) and publish them.
+
+    Args:
+        names: Which ones.
+        progress: Show a progress bar.
+
+    Returns:
+        The files, one per clip; the same clip always gives the same bytes.
+
+    Raises:
+        SilemError: As `load_motion`, or another process is publishing.
+    """
+    written = []
+    with demos.publishing():
+        for clip in tqdm(names, "clips", disable=not progress):
+            motion = load_motion(clip)
+            about = {
+                "source": f"{clips.URL}08/{clip}.amc",
+                "source_sha256": clips.SHA256[f"08/{clip}.amc"],
+                "skeleton_source": f"{clips.URL}08/08.asf",
+                "licence": clips.LICENCE,
+                "acknowledgement": clips.ACKNOWLEDGEMENT,
+            }
+            written.append(_publish(motion, about, CMU_RATE_HZ, FLOOR_SLOPE))
+    return written
+
+
+def publish_own(
+    name: str,
+    asf: Path | str,
+    amc: Path | str,
+    capture_rate_hz: float,
+    *,
+    floor_slope: float = 0.0,
+) -> Path:
+    """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
+
+    Args:
+        name: What runs find it by, for example "my_walk". What had this name is replaced.
+        asf: The skeleton.
+        amc: The clip.
+        capture_rate_hz: Frames per second.
+        floor_slope: See `pose`.
+
+    Returns:
+        The file; the same clip always gives the same bytes.
+
+    Raises:
+        SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another
+            process is publishing.
+    """
+    taken = {*bodies.names(), *map(published_name, CLIPS)}
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) or name in taken or "_on_" in name:
+        raise SilemError(
+            f"a clip cannot be named {name!r}; allowed: up to 64 letters, digits, _ and -, not a"
+            " body's name, not that of one of subject 8's clips, and no '_on_'"
+        )
+    skeleton = read_asf(asf)
+    motion = pose(read_amc(amc, skeleton), capture_rate_hz, floor_slope=floor_slope)
+    about = {
+        "source": Path(amc).name,
+        "source_sha256": files.sha256(Path(amc)),
+        "skeleton_source": Path(asf).name,
+        "skeleton_sha256": files.sha256(Path(asf)),
+        "licence": "",
+        "acknowledgement": "",
+    }
+    with demos.publishing():
+        return _publish(replace(motion, name=name), about, capture_rate_hz, floor_slope)
+
+
+def _publish(
+    motion: Motion, source: dict[str, str], capture_rate_hz: float, floor_slope: float
+) -> Path:
+    extra = {name: getattr(motion, name) for name in _PUBLISHED}
+    about = {
+        "clip": motion.name,
+        **source,
+        "capture_rate_hz": capture_rate_hz,
+        "rate_hz": motion.rate_hz,
+        "n_states": len(motion.features),
+        "duration_s": round(motion.duration_s, 6),
+        "speed_m_s": round(motion.speed_m_s, 6),
+        "floor_slope": floor_slope,
+        "repairs": list(motion.repairs),
+        "features_version": FEATURES_VERSION,
+    }
+    demonstrations = Demonstrations((motion.features,), body=BODY, extra=extra)
+    return demos.publish(published_name(motion.name), demonstrations, about)

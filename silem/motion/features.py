@@ -102,7 +102,7 @@ class Landmarks:
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
         """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
         frames = matrices.reshape(*matrices.shape[:-1], 3, 3)
-        return np.swapaxes(frames, -1, -2).take(self._axes, axis=-2)
+        return frames.swapaxes(-1, -2).take(self._axes, -2)
 
 
 def skeletal_features(
@@ -118,12 +118,12 @@ def skeletal_features(
     Returns:
         The features (..., F), float32, in the order of `FEATURES`.
     """
-    rows = np.swapaxes(torso_axes, -1, -2)
-    vectors = points.take(_ENDS, axis=-2) - points.take(_STARTS, axis=-2)
-    offsets, segments = vectors[..., :4, :], vectors[..., 4:, :]
+    rows = torso_axes.swapaxes(-1, -2)
+    vectors = points.take(_ENDS, -2) - points.take(_STARTS, -2)
+    offsets = vectors[..., :4, :]
     parts = (
         (offsets @ rows).reshape(*offsets.shape[:-2], 12),
-        _angles(segments[..., :4, :], segments[..., 4:, :]),
+        _angles(vectors[..., 4:, :]),
         points[..., _HEAD, 2:],
         torso_axes[..., 2],
         (com_velocity[..., None, :] @ rows)[..., 0, :],
@@ -138,8 +138,10 @@ def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.nd
     return skeletal_features(landmarks.points(data), landmarks.torso_axes(data), velocity)
 
 
-def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the angles in rad between vectors (..., 3), (...)."""
-    squares = (first * first).sum(axis=-1), (second * second).sum(axis=-1)
-    cosines = (first * second).sum(axis=-1) / (np.sqrt(squares[0]) * np.sqrt(squares[1]))
+def _angles(segments: np.ndarray) -> np.ndarray:
+    """Return the angles in rad (..., N) between N vectors and the next N, of (..., 2 N, 3)."""
+    n = segments.shape[-2] // 2
+    lengths = np.sqrt(np.add.reduce(segments * segments, -1))
+    products = np.add.reduce(segments[..., :n, :] * segments[..., n:, :], -1)
+    cosines = products / (lengths[..., :n] * lengths[..., n:])
     return np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from silem import paper
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results
 from silem.study import statistics
 from silem.study.statistics import NO_INTERVAL, Interval

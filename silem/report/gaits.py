@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from pandas.io.formats.style import Styler
 from scipy import signal, stats
 
-from silem.envs.bullet.simulator import STEP_S
+from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import rendering, results, style, tables
 from silem.report.figures import sources
@@ -159,7 +159,7 @@ def strides(pitch: np.ndarray) -> np.ndarray:
     A stride lasts as long as the lag at which the pitch is most like itself, give or take a third.
     """
     centred = pitch - pitch.mean()
-    low, high = (round(seconds / STEP_S) for seconds in _STRIDE_S)
+    low, high = (round(seconds / BulletBody.control_step_s) for seconds in _STRIDE_S)
     alike = [centred[lag:] @ centred[:-lag] / (len(pitch) - lag) for lag in range(low, high)]
     period = low + int(np.argmax(alike))
     peaks, _ = signal.find_peaks(pitch, distance=max(1, round(2 * period / 3)))

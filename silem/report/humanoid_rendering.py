@@ -79,5 +79,4 @@ def _fall(body: MujocoBody, torque: float, duration_s: float, seed: int) -> Clip
                 pictures.append(camera.picture())
     finally:
         camera.close()
-        simulation.close()
     return Clip(np.stack(pictures), 1 / (STATES_PER_PICTURE * body.control_step_s))

@@ -10,12 +10,11 @@ import numpy as np
 import pandas as pd
 
 from silem import paper
-from silem.bodies import MujocoBody
-from silem.bodies.describe import describe
-from silem.envs.base import MAX_STEPS
+from silem.bodies import MujocoBody, describe
+from silem.bodies.body import MAX_STEPS
 from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
-from silem.motion.targets import Limbs
+from silem.motion.retargeting import Limbs
 from silem.report import limbs
 from silem.study.evaluate import Policy, evaluate, random_policy
 
@@ -166,7 +165,7 @@ def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
         row = {}
         for label, policy in policies.items():
             found = evaluate(policy, name, n_episodes, seed)
-            row[f"{label}: seconds"] = found.upright * MAX_STEPS * body.control_step_s
+            row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
             row[f"{label}: return"] = found.return_mean
         rows[name] = row
     return pd.DataFrame(rows).T.rename_axis("body")

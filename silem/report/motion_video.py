@@ -7,8 +7,9 @@ from functools import cache
 import mujoco
 from dm_control.suite import humanoid_CMU
 
+from silem import bodies
 from silem.bodies import MujocoBody
-from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M
+from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common
 from silem.motion.demonstrator import BODY, SKELETON, Motion
 from silem.report import rendering
 from silem.report.video import Clip
@@ -44,14 +45,16 @@ def demonstrator() -> MujocoBody:
     pose = tuple(model.compile().qpos0.tolist())
     return MujocoBody(
         name=BODY,
-        family="humanoid",
         description="dm_control's humanoid with the proportions of CMU's subject 8",
         build=model.to_xml,
         motors=(),
         length=("", 0.0),
         varied=(),
+        view=bodies.get("Humanoid").view,
+        target_speed_m_s=1.0,
         skeleton=SKELETON,
         standing_pose=pose,
         standing_head_m=STANDING_HEAD_M,
         fall_head_m=FALL_HEAD_M,
+        **common(STANDING_HEAD_M),
     )

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from silem import bodies
-from silem.envs.bullet.simulator import STEP_S
+from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations
 from silem.report import style
 from silem.report.features import Group, feature_groups, feature_names
@@ -54,7 +54,7 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
     names = feature_names(body.name)
     if not 0 <= index < len(demonstrations.features):
         raise SilemError(f"trajectory {index} of {len(demonstrations.features)}")
-    n_states = max(2, round(duration_s / STEP_S))
+    n_states = max(2, round(duration_s / BulletBody.control_step_s))
     values = demonstrations.features[index][:n_states]
     if values.shape[1] != len(names):
         raise SilemError(f"{values.shape[1]} features, {demonstrations.body} has {len(names)}")
@@ -64,7 +64,7 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
         figure, all_axes = style.new_figure(
             7.2, nrows=4, sharex=True, gridspec_kw={"height_ratios": heights}
         )
-        time_s = np.arange(len(values)) * STEP_S
+        time_s = np.arange(len(values)) * BulletBody.control_step_s
         for axes, group in zip(all_axes[:3], lines, strict=True):
             _draw_lines(axes, time_s, values, group)
         _draw_contacts(all_axes[3], values, contacts)
@@ -177,7 +177,13 @@ def _draw_contacts(axes: Axes, values: np.ndarray, group: Group) -> None:
     for row, column in enumerate(group.columns):
         touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
         starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
-        bars = list(zip(starts * STEP_S, (ends - starts) * STEP_S, strict=True))
+        bars = list(
+            zip(
+                starts * BulletBody.control_step_s,
+                (ends - starts) * BulletBody.control_step_s,
+                strict=True,
+            )
+        )
         axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK, lw=0)
     axes.set_yticks(range(len(group.labels)), group.labels)
     axes.set_ylim(len(group.labels) - 0.4, -0.6)

@@ -14,9 +14,9 @@ import silem
 from silem import bodies
 from silem.bodies import Body, BulletBody, MujocoBody
 from silem.envs import MujocoCamera
+from silem.envs.base import Filmed
 from silem.envs.bullet.camera import Camera
-from silem.envs.bullet.simulator import STEP_S, Simulator
-from silem.envs.filmed import Filmed
+from silem.envs.bullet.simulator import Simulator
 from silem.envs.mujoco.simulator import Simulation, body_of
 from silem.report import style
 from silem.report.video import Clip
@@ -116,14 +116,14 @@ def rollout(
     """
     found = bodies.get(body) if isinstance(body, str) else body
     steps_per_frame = steps_per_frame or _STEPS_PER_FRAME[found.engine]
-    frame_s = steps_per_frame * (found.control_step_s if isinstance(found, MujocoBody) else STEP_S)
+    frame_s = steps_per_frame * found.control_step_s
     if not (duration_s > 0 and math.isfinite(duration_s)):
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     n_frames = max(1, round(duration_s / frame_s))
     policy = policy or random_policy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
-    env = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    env: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
     env.picture_size = size
     try:
         observations: Any = env.reset()
@@ -194,4 +194,3 @@ def _poses(body: MujocoBody, qpos: np.ndarray, width: int, height: int) -> np.nd
         return np.stack(pictures)
     finally:
         camera.close()
-        simulation.close()

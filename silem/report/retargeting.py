@@ -9,22 +9,23 @@ import numpy as np
 import pandas as pd
 
 from silem.envs.mujoco.simulator import body_of
+from silem.motion import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
-from silem.motion.inverse_kinematics import PoseSolver
-from silem.motion.retarget import TOLERANCE_M, IKResult
-from silem.motion.retarget_report import learner
-from silem.motion.starts import demonstration_states
-from silem.motion.targets import (
-    SIDES,
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import (
     TARGETS,
+    TOLERANCE_M,
+    IKResult,
     Limbs,
+    demonstration_states,
     foot_speeds_m_s,
+    learner,
     standing_feet,
     targets,
 )
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, retargeted
+from silem.study.settings import HUMAN
 
 _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 
@@ -104,9 +105,7 @@ def own_foot_skate(human: Motion) -> np.ndarray:
 
 def hand_targets(human: Motion, result: IKResult) -> np.ndarray:
     """Return where the left and the right hand of a learner should be, (T, 2, 3) in m."""
-    body = learner(result.body)
-    solver = PoseSolver(mujoco.MjModel.from_xml_string(body.model_xml()), body)
-    wanted = targets(human, solver.standing_points, solver.standing_axes).positions
+    wanted = targets(human, learner(result.body)).positions
     return wanted[:, [TARGETS.index(f"{side}_hand") for side in SIDES]]
 
 

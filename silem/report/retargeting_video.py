@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from silem.motion.demonstrator import Motion
-from silem.motion.retarget import IKResult
-from silem.motion.retarget_report import learner
+from silem.motion.retargeting import IKResult, learner
 from silem.report import motion_video, rendering
 from silem.report.motion_video import STATES_PER_PICTURE
 from silem.report.video import Clip, side_by_side

@@ -11,8 +11,8 @@ import pandas as pd
 
 from silem import bodies
 from silem.bodies import MujocoBody
-from silem.envs.base import MAX_STEPS
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.bodies.body import MAX_STEPS
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, style, tables
 from silem.report.claims import MARGIN
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body, atlas
+from silem.bodies import Body
 from silem.study import settings
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
 from silem.util.errors import SilemError, choose
@@ -35,6 +35,7 @@ class RunConfig:
     budget: Budget
     hyper: HyperParameters
     seed: int
+    parameters: Mapping[str, float] = dataclasses.field(default_factory=dict)  # of the body
 
     @classmethod
     def create(
@@ -45,7 +46,7 @@ class RunConfig:
         budget: str | Budget = "tiny",
         seed: int = 0,
         study: str | None = None,
-        **hyper_overrides: Any,
+        **overrides: Any,
     ) -> RunConfig:
         """Make a checked configuration; the one door to `RunConfig`.
 
@@ -58,14 +59,14 @@ class RunConfig:
             budget: One of `BUDGETS`, or a `Budget` of your own.
             seed: The root seed of every random stream of the run.
             study: The folder the run belongs to; None means the body's family.
-            **hyper_overrides: Hyper-parameters that replace the supplement's best combination
-                for this cell.
+            **overrides: Hyper-parameters, and parameters of the body, that replace the
+                supplement's best combination for this cell.
 
         Raises:
             SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
                 method.
         """
-        choose("body", body, bodies.names())
+        bodies.get(body)  # which refuses what there is not
         choose("method", method, METHODS)
         family = bodies.get(body).family
         demonstrations = settings.demonstrations(body, method, demonstrations)
@@ -77,17 +78,19 @@ class RunConfig:
         study = family if study is None else study
         if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", study):
             raise SilemError(f"study must be of a-z, 0-9, - and _, not {study!r}")
-        used = HyperParameters.names_used_by(method)
-        for name in hyper_overrides:
-            choose(f"hyper-parameter of {method}", name, used)
+        allowed = [*HyperParameters.names_used_by(method), *bodies.get(body).parameters]
+        for name in overrides:
+            choose(f"hyper-parameter of {method}", name, allowed)
         resolved = settings.resolve(body, method, demonstrations)
         values = {name: setting.value for name, setting in resolved.items()}
-        hyper = HyperParameters(**(values | hyper_overrides))
-        settings.check_ankle(body, hyper.ankle_range_rad)
+        values |= overrides
+        parameters = {name: values.pop(name) for name in bodies.get(body).parameters}
+        bodies.get(body).variant(**parameters)  # which refuses what it does not allow
+        hyper = HyperParameters(**values)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
         if method != "random" and steps % minibatch:
             raise SilemError(f"minibatch_size {minibatch} does not divide {steps} steps")
-        return cls(study, body, method, demonstrations, budget, hyper, seed)
+        return cls(study, body, method, demonstrations, budget, hyper, seed, parameters)
 
     @property
     def transform(self) -> str | None:
@@ -97,9 +100,9 @@ class RunConfig:
     def settings(self) -> dict[str, Setting]:
         """Return every hyper-parameter in use with where it comes from."""
         resolved = settings.resolve(self.body, self.method, self.demonstrations)
-        used = {name: getattr(self.hyper, name) for name in resolved}
+        values = dataclasses.asdict(self.hyper) | dict(self.parameters)
         return {
-            name: setting if setting.value == used[name] else Setting(used[name], "this run")
+            name: setting if setting.value == values[name] else Setting(values[name], "this run")
             for name, setting in resolved.items()
         }
 
@@ -124,10 +127,8 @@ class RunConfig:
 
     @property
     def learner(self) -> Body:
-        """The learner's body, as this run's hyper-parameters have it."""
-        if self.hyper.ankle_range_rad:
-            return atlas.body(self.hyper.ankle_range_rad)
-        return bodies.get(self.body)
+        """The learner's body, with this run's parameters."""
+        return bodies.get(self.body).variant(**self.parameters)
 
     @property
     def run_id(self) -> str:
@@ -151,9 +152,8 @@ class RunConfig:
         if self.study != bodies.get(self.body).family:
             words.append(f"--study {self.study}")
         default = RunConfig.create(self.body, self.method, self.demonstrations or None)
-        for name in HyperParameters.names_used_by(self.method):
-            value = getattr(self.hyper, name)
-            if value != getattr(default.hyper, name):
+        for name, (value, _) in self.settings().items():
+            if value != default.settings()[name].value:
                 text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
@@ -163,7 +163,7 @@ class RunConfig:
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
-        }
+        } | dict(self.parameters)
         return {
             "study": self.study,
             "body": self.body,
@@ -181,7 +181,7 @@ class RunConfig:
         Raises:
             SilemError: A key is missing or unknown, or a value is not allowed.
         """
-        keys = [field.name for field in dataclasses.fields(cls)]
+        keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:
             for key in content:
                 choose("configuration key", key, keys)

@@ -81,8 +81,8 @@ class Episode:
 
     features: np.ndarray
     episode_return: float
-    speed_m_s: float
-    upright: float
+    speed_m_s: float | None
+    upright: float | None
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ class Evaluation:
     return_mean: float
     return_std: float
     returns: list[float]
-    speed_m_s: float
-    upright: float
+    speed_m_s: float | None  # None where the environment does not say
+    upright: float | None
     disc_reward_mean: float | None  # per episode; None where there is no discriminator
 
     def to_dict(self) -> dict[str, Any]:
@@ -103,7 +103,13 @@ class Evaluation:
 
 
 def episodes(
-    policy: Policy, body: Body | str, n_episodes: int, seed: int, *, progress: bool = False
+    policy: Policy,
+    body: Body | str,
+    n_episodes: int,
+    seed: int,
+    *,
+    progress: bool = False,
+    **options: Any,
 ) -> Iterator[Episode]:
     """Roll out a policy for exactly `n_episodes` episodes.
 
@@ -116,6 +122,7 @@ def episodes(
         n_episodes: How many episodes.
         seed: Seed of the environments and of the policy.
         progress: Show a progress bar.
+        **options: Of the environments (see `silem.envs.make_vec`).
 
     Yields:
         The episodes, in the order in which they end.
@@ -128,7 +135,7 @@ def episodes(
     n_envs = min(MAX_ENVS, n_episodes)
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1
-    env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"))
+    env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"), **options)
     name = body if isinstance(body, str) else body.name
     bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
@@ -157,7 +164,8 @@ def episodes(
 
 def _episode(states: list[np.ndarray], info: dict[str, float]) -> Episode:
     features = np.stack(states).astype(np.float32)
-    return Episode(features, float(info["r"]), float(info["speed_m_s"]), float(info["upright"]))
+    told = (float(info[name]) if name in info else None for name in ("speed_m_s", "upright"))
+    return Episode(features, float(info["r"]), *told)
 
 
 def evaluate(
@@ -168,6 +176,7 @@ def evaluate(
     model: GAIfO | None = None,
     *,
     progress: bool = False,
+    **options: Any,
 ) -> Evaluation:
     """Evaluate a policy over `n_episodes` episodes.
 
@@ -178,12 +187,14 @@ def evaluate(
         seed: Seed of the environments and of the policy.
         model: An imitator whose discriminator scores the episodes, if any.
         progress: Show a progress bar.
+        **options: Of the environments (see `silem.study.training.task_options`).
     """
     returns, speeds, uprights, scores = [], [], [], []
-    for episode in episodes(policy, body, n_episodes, seed, progress=progress):
+    for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
         returns.append(episode.episode_return)
-        speeds.append(episode.speed_m_s)
-        uprights.append(episode.upright)
+        if episode.speed_m_s is not None and episode.upright is not None:
+            speeds.append(episode.speed_m_s)
+            uprights.append(episode.upright)
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
@@ -192,8 +203,8 @@ def evaluate(
         return_mean=float(np.mean(returns)),
         return_std=float(np.std(returns)),
         returns=[round(value, 3) for value in returns],
-        speed_m_s=float(np.mean(speeds)),
-        upright=float(np.mean(uprights)),
+        speed_m_s=float(np.mean(speeds)) if speeds else None,
+        upright=float(np.mean(uprights)) if uprights else None,
         disc_reward_mean=float(np.mean(scores)) if scores else None,
     )
 

@@ -21,7 +21,7 @@ from silem.study.config import RunConfig
 from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
-from silem.study.training import PROGRESS, Segments, make_env, make_model, train
+from silem.study.training import PROGRESS, Segments, make_env, make_model, task_options, train
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -132,7 +132,8 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
         env.close()
     training = _training(config, segments)
     scorer = model if isinstance(model, GAIfO) else None
-    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress)
+    task = task_options(config)
+    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.wall_time_s)

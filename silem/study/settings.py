@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from silem import bodies, paper
+from silem.motion import retargeted
+from silem.motion.demonstrations import file_of
 from silem.util.errors import SilemError, choose
 
 HUMAN = "cmu_08_01"
@@ -138,7 +140,6 @@ class HyperParameters:
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0, zero=True)  # C_g
-    ankle_range_rad: float = _used_by(METHODS, 0.0, optional=True, zero=True)  # a, of Atlas
     starts: str = _used_by(_LEARNERS, STARTS[0], optional=True, choices=STARTS)
     # Of the random policy: standard deviation of its raw actions, as an untrained policy's is.
     action_std: float = _used_by(("random",), 1.0)
@@ -350,11 +351,6 @@ def _family(name: str) -> FamilySettings:
 # ---------------------------------------------------------------- one cell
 
 
-def retargeted(demonstrations: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{demonstrations}_on_{body}"
-
-
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
     """Return the name of the demonstrations of one cell: those wanted, or the paper's.
 
@@ -377,8 +373,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    if wanted and original in bodies.names():  # a body's demonstrator, or one trial: "HC0_s3"
+    if wanted and original in bodies.names() and not file_of(wanted).exists():
+        # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
         choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
+    if not wanted and bodies.get(body).family not in FAMILIES:
+        raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
 
 
@@ -394,14 +393,15 @@ def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
         source: The demonstrations' name.
 
     Returns:
-        Settings by name, only those that the method uses, in the order of `HyperParameters`.
+        Settings by name, only those that the method uses, in the order of `HyperParameters`, and
+        last the parameters of the body.
     """
-    family = bodies.get(body).family
+    family, parameters = bodies.get(body).family, bodies.get(body).parameters
     used = {
         item.name: Setting(item.default, item.metadata["source"] or "open: this project's default")
         for item in dataclasses.fields(HyperParameters)
         if method in item.metadata["methods"]
-    }
+    } | {name: Setting(value, "the body's own") for name, value in parameters.items()}
     found = dict(_family(family).chosen)
     if family in FAMILIES:
         found |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
@@ -416,7 +416,7 @@ def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setti
     the number of epochs out.
     """
     if not METHODS[method].algorithm:
-        return _ankle(body, "silem")
+        return {}
     wanted = method
     if method == "ppo":
         if _family(bodies.get(body).family).original in bodies.names():
@@ -428,18 +428,4 @@ def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setti
     table = paper.best_table(known, wanted)
     label = f"supplement, {table.label}, {known}" if table else ""
     values = paper.best_combination(known, wanted, source if known == body else "")
-    return _ankle(body, "silem") | {name: Setting(value, label) for name, value in values.items()}
-
-
-def _ankle(body: str, method: str) -> dict[str, Setting]:
-    """Return Atlas's ankle range, which its best combinations name and its model needs."""
-    if body != "Atlas":
-        return {}
-    value = min(paper.grid_values("tab42_h")["a"])
-    return {"ankle_range_rad": Setting(value, "supplement, the grid's smaller value")}
-
-
-def check_ankle(body: str, ankle_range_rad: float) -> None:
-    """Refuse an ankle range on a body without, or none on Atlas; raises SilemError."""
-    if (body == "Atlas") != (ankle_range_rad > 0):
-        raise SilemError(f"ankle_range_rad {ankle_range_rad:g} on {body}: it is Atlas's alone")
+    return {name: Setting(value, label) for name, value in values.items()}

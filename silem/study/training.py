@@ -18,13 +18,16 @@ from tqdm import tqdm
 
 from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
+from silem.bodies import MujocoBody
 from silem.envs import make_vec
 from silem.envs.mujoco.simulator import body_of
+from silem.motion import demonstrations as demos
+from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters, retargeted
+from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters
 from silem.util import files, seeding
 from silem.util.errors import SilemError
 
@@ -36,18 +39,32 @@ _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 _NOT_ITS_OWN = {
     "learning_rate", "clip_range", "gamma", "gae_lambda", "n_epochs", "minibatch_size", "adam_eps",
     "policy_hidden", "log_std_init", "anneal_clip", "clip_actions", "n_trajectories",
-    "ankle_range_rad", "starts",
+    "starts",
 }  # fmt: skip
+
+
+def task_options(config: RunConfig) -> dict[str, Any]:
+    """Return what a run's task takes from its demonstrations, for `silem.envs.make_vec`.
+
+    A captured man's mean speed, in whole cm/s, is what earns a humanoid the full reward (Figure 3b
+    of the paper); where nobody was captured the task's default stands.
+    """
+    if not config.demonstrations or not isinstance(config.learner, MujocoBody):
+        return {}
+    speed_m_s = demos.captured_speed_m_s(config.demonstrations)
+    return {} if speed_m_s is None else {"speed_m_s": round(speed_m_s, 2)}
 
 
 def make_env(config: RunConfig) -> VecEnv:
     """Build a run's training environments."""
-    options: dict[str, Any] = {}
+    options = task_options(config)
     if config.hyper.starts == "demonstration":
         # inverse kinematics and motion capture come with it, which no other run needs
-        from silem.motion.starts import demonstration_states
+        from silem.motion.retargeting import demonstration_states
 
-        name = retargeted(HUMAN, config.body)
+        name = config.demonstrations if options else HUMAN
+        if not name.endswith(retargeted("", config.body)):
+            name = retargeted(name, config.body)
         options["starts"] = demonstration_states(name, body_of(config.learner))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from silem.envs.mujoco import task as walking
+from silem.bodies import humanoid
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import figures, results
@@ -156,7 +156,7 @@ def test_a_clips_entry_says_where_it_is_from(name: str) -> None:
 
 def test_the_rewards_speed_is_the_demonstrators() -> None:
     speed_m_s = MANIFEST_CONTENT[HUMAN]["speed_m_s"]
-    assert walking.DEMONSTRATOR_SPEED_M_S == pytest.approx(speed_m_s, abs=5e-4)
+    assert humanoid.DEMONSTRATOR_SPEED_M_S == pytest.approx(speed_m_s, abs=5e-4)
 
 
 @needs_demonstrations

@@ -106,7 +106,7 @@ def test_gradient_penalty_is_taken_between_the_windows() -> None:
         discriminator_loss(
             Quadratic(), expert, learner, entropy_coef=0.0, gradient_penalty=weight,
             mixing=th.full((5,), 0.25),
-        ).total.item()
+        )[0].item()
         for weight in (0.0, 0.1)
     )  # fmt: skip
     mixture = 0.25 * 1.0 + 0.75 * 3.0

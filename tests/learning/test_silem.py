@@ -94,11 +94,11 @@ def test_discriminator_loss_by_hand() -> None:
 
     expert = th.full((2, 4, 1), np.log(3.0))  # D = 0.75
     learner = th.full((2, 4, 1), -np.log(4.0))  # D = 0.2
-    loss = discriminator_loss(Fixed(), expert, learner, entropy_coef=0.0, gradient_penalty=0.0)
-    assert loss.total.item() == pytest.approx(-np.log(0.75) - np.log(0.8))
+    loss, _ = discriminator_loss(Fixed(), expert, learner, entropy_coef=0.0, gradient_penalty=0.0)
+    assert loss.item() == pytest.approx(-np.log(0.75) - np.log(0.8))
     entropies = [-p * np.log(p) - (1 - p) * np.log(1 - p) for p in (0.75, 0.2)]
-    bonus = discriminator_loss(Fixed(), expert, learner, entropy_coef=2.0, gradient_penalty=0.0)
-    assert (loss.total - bonus.total).item() == pytest.approx(2.0 * np.mean(entropies))
+    bonus, _ = discriminator_loss(Fixed(), expert, learner, entropy_coef=2.0, gradient_penalty=0.0)
+    assert (loss - bonus).item() == pytest.approx(2.0 * np.mean(entropies))
 
 
 def test_gradient_norm_of_a_linear_discriminator() -> None:

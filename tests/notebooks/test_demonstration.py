@@ -10,7 +10,7 @@ import nbformat
 import pytest
 from conftest import NOTEBOOKS, REPO, Execute, glue_roles, output, said
 
-from silem.motion import fetch
+from silem.motion import clips
 from silem.motion.demonstrator import CLIPS
 
 NAME = "09_demonstration"
@@ -22,7 +22,7 @@ def only_demonstrations(execute: Execute, tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / "data"
     shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")
     monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-    monkeypatch.setenv(fetch.ENV, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(clips.ENV, str(tmp_path / "nowhere"))
 
 
 def text_of(html: str) -> str:
@@ -51,4 +51,4 @@ def test_the_acknowledgement_is_word_for_word() -> None:
     (path,) = [path for path in NOTEBOOKS if path.stem == NAME]
     cells = nbformat.read(path, as_version=4).cells
     prose = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
-    assert fetch.ACKNOWLEDGEMENT in " ".join(prose.replace("\n> ", " ").split())
+    assert clips.ACKNOWLEDGEMENT in " ".join(prose.replace("\n> ", " ").split())

@@ -20,7 +20,7 @@ import synthetic_records as synthetic
 from conftest import MISSING, Execute, glue_roles, output, said
 
 from silem import bodies, paper
-from silem.bodies.describe import describe
+from silem.bodies import describe
 from silem.report import claims, results, scorecard, style
 from silem.report.features import feature_names
 from silem.study import runs

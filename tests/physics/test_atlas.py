@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from silem.bodies import MujocoBody, atlas, atlas_model
+from silem.bodies import MujocoBody, atlas
 from silem.motion.features import FEATURES, POINTS, Landmarks, g
 from silem.util.errors import SilemError
 
@@ -56,7 +56,7 @@ def head_after(
 
 def test_masses_and_inertias_are_the_published_ones(model: mujoco.MjModel):
     assert model.body_mass.sum() == pytest.approx(182.42, abs=0.01)
-    links = atlas_model.constants()["links"]
+    links = atlas.constants()["links"]
     assert len(links) == model.nbody - 1 == 31
     for name, link in links.items():
         body = model.body(name)
@@ -75,10 +75,10 @@ def test_masses_and_inertias_are_the_published_ones(model: mujoco.MjModel):
 def test_joints_are_the_published_ones_but_for_ankles_and_welded_wrists(
     body: MujocoBody, model: mujoco.MjModel
 ):
-    published = atlas_model.constants()["joints"]
+    published = atlas.constants()["joints"]
     names = [model.joint(index).name for index in range(1, model.njnt)]
     assert set(published) - set(names) == {"l_arm_wry2", "r_arm_wry2"}
-    assert [motor.joint for motor in body.motors] == names == atlas_model.hinges()
+    assert [motor.joint for motor in body.motors] == names == atlas.hinges()
     for name, motor in zip(names, body.motors, strict=True):
         joint, limit = model.joint(name), published[name]["limit"]
         np.testing.assert_allclose(joint.axis, published[name]["axis"], atol=1e-9)
@@ -100,7 +100,7 @@ def test_the_same_text_every_time(body: MujocoBody):
 
 @pytest.mark.parametrize("ankle_range_rad", [0.1, 0.3])
 def test_the_ankles_range_holds_against_full_torque(ankle_range_rad: float):
-    model = atlas_model.robot(ankle_range_rad).compile()  # without the floor
+    model = atlas.robot(ankle_range_rad).compile()  # without the floor
     model.opt.gravity[:] = 0
     data = placed(model, atlas.body(ankle_range_rad).standing_pose)
     for sign in (1, -1):
@@ -130,7 +130,7 @@ def test_impossible_ankles_are_refused(ankle_range_rad: float):
 
 @pytest.mark.parametrize("ankle_range_rad", [0.02, 0.1, 0.7])
 def test_standing_pose_has_flat_soles_on_the_floor_and_respects_limits(ankle_range_rad: float):
-    model = atlas_model.robot(ankle_range_rad).compile()
+    model = atlas.robot(ankle_range_rad).compile()
     data = placed(model, atlas.body(ankle_range_rad).standing_pose)
     soles = [geom for geom in range(model.ngeom) if "_sole_" in model.geom(geom).name]
     lowest = data.geom_xpos[soles, 2] - model.geom_size[soles, 0]
@@ -213,7 +213,7 @@ def test_left_is_y_and_both_sides_mirror_each_other(
 ):
     """Any pose and its mirror image; the forearms' own turn stays, whose ranges do not mirror."""
     pose, mirrored = np.array(body.standing_pose), np.array(body.standing_pose)
-    for name in atlas_model.hinges():
+    for name in atlas.hinges():
         if "_arm_wry" in name:
             continue
         here, twin = (model.joint(n).qposadr[0] for n in (name, _twin(name)))
@@ -232,7 +232,7 @@ def test_left_is_y_and_both_sides_mirror_each_other(
 def test_links_of_both_sides_weigh_and_collide_alike(body: MujocoBody, model: mujoco.MjModel):
     data = placed(model, body.standing_pose)
     flip = np.diag([1.0, -1.0, 1.0])
-    for name in (n for n in atlas_model.constants()["links"] if n.startswith("l_")):
+    for name in (n for n in atlas.constants()["links"] if n.startswith("l_")):
         left, right = (data.body(n).id for n in (name, _twin(name)))
         np.testing.assert_allclose(data.xipos[left] @ flip, data.xipos[right], atol=1e-5)
         tensors = []
@@ -277,7 +277,7 @@ def test_features_of_the_standing_pose_by_hand(body: MujocoBody, model: mujoco.M
 
 
 def test_the_file_names_its_source_and_licence():
-    source = atlas_model.constants()["source"]
+    source = atlas.constants()["source"]
     assert "Roboschool" in source and "MIT" in source
 
 

@@ -20,9 +20,6 @@ def test_rows_are_filled_and_compared():
         measured.repeat(seed)
     assert [row.n_envs for row in measured.rows] == [1, 1, 2, 2, 1, 1]
     assert all(len(row.rates) == 3 and min(row.rates) > 0 for row in measured.rows)
-    # Reading the state costs something, and the public package reads it link by link.
-    assert measured.batched[0].times(measured.raw[0]) < 1
-    assert measured.batched[0].times(measured.peer) > 1
     table = measured.table().splitlines()
     assert len(table) == 6
     assert table[0].split()[-2] == "100.0%"
@@ -34,8 +31,6 @@ def test_humanoids_are_compared_with_raw_mujoco_and_dm_control():
     for seed in range(3):
         measured.repeat(seed)
     assert [row.n_envs for row in measured.rows] == [1, 1, 4, 4, 4, 1, 1]
-    assert measured.batched[1].times(measured.raw[1]) < 1
-    assert measured.batched[1].times(measured.peer) > 1
     assert "times dm_control humanoid walk with 4" in measured.verdict()
 
 
@@ -48,7 +43,7 @@ def test_without_a_peer_there_is_only_the_share_of_raw():
 
 
 def test_raw_mujoco_simulates_what_our_environment_does_until_a_fall():
-    raw = humanoids.Raw(MujocoVecEnv("Humanoid", 2))
+    raw = humanoids.Raw("Humanoid", 2)
     ours = MujocoVecEnv("Humanoid", 2)
     raw.reset(seed=3)
     ours.seed(3)
@@ -59,8 +54,8 @@ def test_raw_mujoco_simulates_what_our_environment_does_until_a_fall():
     for action in actions:
         *_, dones, _ = ours.step(action)
         assert not dones.any()
-    for mine, theirs in zip(ours.simulation.states, raw.env.simulation.states, strict=True):
-        np.testing.assert_array_equal(mine.qpos, theirs.qpos)
+    for mine, theirs in zip(ours.simulation.qpos, raw.states, strict=True):
+        np.testing.assert_array_equal(mine, theirs.qpos)
     raw.run(np.tile(actions, (20, 1, 1)))  # long enough to fall, often
-    head_m = raw.env.simulation.read().head_m
-    assert (head_m >= 1.0).all()  # they were put back on their feet
+    heads_m = [data.body("head").xpos[2] for data in raw.states]
+    assert min(heads_m) >= 1.0  # they were put back on their feet

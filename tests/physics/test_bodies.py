@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import itertools
 import math
+import subprocess
+import sys
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pybullet
 import pybullet_data
 import pytest
 
 from silem import bodies
-from silem.bodies import mjcf
-from silem.bodies.shapes import shapes
+from silem.bodies import half_cheetah, mjcf
+from silem.bodies.mjcf import shapes
+from silem.envs import make_vec
 from silem.envs.bullet.simulator import Simulator
 from silem.util.errors import SilemError
+from silem.util.paths import REPO
 
 MJCF = Path(pybullet_data.getDataPath()) / "mjcf"
 WATER_KG_M3 = 1000.0  # the density PyBullet gives to shapes
@@ -148,8 +154,57 @@ def test_unknown_and_repeated_names_are_refused():
         bodies.get("HC9")
     with pytest.raises(SilemError, match="unknown family 'cat'; allowed: halfcheetah, ant"):
         bodies.names("cat")
-    with pytest.raises(SilemError, match="'HC0' is already registered"):
-        bodies.register(bodies.get("HC0"))
+
+
+def test_a_name_is_one_bodys_unless_it_is_replaced(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
+    mine = half_cheetah.body("HC1p5", 1.5)
+    assert bodies.register(mine) is bodies.get("HC1p5") is mine
+    assert bodies.register(half_cheetah.body("HC1p5", 1.5)) is mine  # the same again
+    assert gymnasium.spec("silem/HC1p5-v0").max_episode_steps == 1000
+    longer = dataclasses.replace(half_cheetah.body("HC1p5", 1.6), max_steps=7)
+    # one of another model under the same data is another body, too
+    disguised = dataclasses.replace(mine, build=longer.build)
+    for other in (longer, disguised):
+        with pytest.raises(SilemError, match="another body 'HC1p5' is already registered"):
+            bodies.register(other)
+    assert bodies.register(longer, replace=True) is bodies.get("HC1p5") is longer
+    assert bodies.names("halfcheetah") == ["HC0", "HC1", "HC2", "HC1p5"]
+    env = gymnasium.make("silem/HC1p5-v0")
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(6, np.float32))[3] for _ in range(7)]
+    assert ends == [False] * 6 + [True]
+    assert make_vec("HC1p5").max_steps == 7 and make_vec("HC0").max_steps == 1000
+    for name in ("../HC0", "", "HC 0"):
+        with pytest.raises(SilemError, match="allowed: letters"):
+            bodies.register(dataclasses.replace(mine, name=name))
+
+
+def test_the_registry_starts_no_simulator_and_compiles_nothing():
+    code = (
+        "import sys, types; "
+        "package = types.ModuleType('silem'); package.__path__ = ['silem']; "
+        "sys.modules['silem'] = package; "  # without what `import silem` itself brings
+        "from silem import bodies; bodies.names('humanoid'); bodies.get('HC1').model_xml(); "
+        "print([m for m in ('pybullet', 'mujoco', 'torch', 'dm_control') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=REPO, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_a_variant_differs_in_its_parameter_alone():
+    atlas = bodies.get("Atlas")
+    assert atlas.parameters == {"ankle_range_rad": 0.1}
+    assert atlas.variant(ankle_range_rad=0.1) is atlas
+    wide = atlas.variant(ankle_range_rad=0.3)
+    assert wide.parameters == {"ankle_range_rad": 0.3} and wide.name == "Atlas"
+    assert wide.motors == atlas.motors and wide.model_xml() != atlas.model_xml()
+    with pytest.raises(SilemError, match="unknown parameter of body 'Atlas' 'knee'; all"):
+        atlas.variant(knee=1.0)
+    with pytest.raises(SilemError, match="unknown parameter of body 'HC0'"):
+        bodies.get("HC0").variant(ankle_range_rad=0.1)
 
 
 def test_edits_that_would_miss_are_refused():

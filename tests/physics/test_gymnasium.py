@@ -12,7 +12,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from silem import bodies
 from silem.envs import BulletEnv, Camera, make_vec
-from silem.envs.bullet.raycast import hit_capsule
+from silem.envs.bullet.camera import hit_capsule
 from silem.util.errors import SilemError
 
 

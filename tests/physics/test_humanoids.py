@@ -14,7 +14,6 @@ from silem.bodies import humanoid
 from silem.envs import MujocoEnv, MujocoVecEnv, make_vec
 from silem.envs.mujoco.simulator import Simulation
 from silem.envs.mujoco.task import observe
-from silem.envs.mujoco.vec_env import features_of
 from silem.motion.features import FEATURES, Landmarks, g
 from silem.util.errors import SilemError
 
@@ -42,7 +41,7 @@ def walked():
         wanted = theirs.step(action[0])
         observations, rewards, _, _ = ours.step(action)
         expected = np.concatenate([np.atleast_1d(part) for part in wanted.observation.values()])
-        state = theirs.physics.data.qpos.copy(), ours.simulation.states[0].qpos.copy()
+        state = theirs.physics.data.qpos.copy(), ours.simulation.qpos[0].copy()
         rows.append((expected, observations[0], wanted.reward, rewards[0], *state))
     return [np.array(column) for column in zip(*rows, strict=True)]
 
@@ -137,8 +136,8 @@ def test_features_beside_the_observation_are_g_of_the_state():
         *_, infos = env.step(action)
     simulation = env.simulation
     landmarks = Landmarks(simulation.model, env.body.skeleton)
-    for index, data in enumerate(simulation.states):
-        expected = g(simulation.model, data, landmarks)
+    for index in range(3):
+        expected = g(simulation.model, simulation.data(index), landmarks)
         np.testing.assert_allclose(infos[index]["skeletal_features"], expected, atol=1e-6)
     assert env.skeletal_features.shape == (3, len(FEATURES))
 
@@ -168,10 +167,10 @@ def test_observations_are_those_of_the_present_states_also_after_falls():
     for action in actions(60, 3):
         observations, _, dones, _ = env.step(action)
         reading = env.simulation.read()
-        np.testing.assert_array_equal(observations, observe(reading, features_of(reading)))
+        np.testing.assert_array_equal(observations, observe(reading, reading.features()))
         n_falls += dones.sum()
     assert n_falls >= 3
-    chosen = env.simulation.read([2, 0])
+    chosen = env.simulation.read(np.array([2, 0]))
     for part, whole in zip(chosen, env.simulation.read(), strict=True):
         np.testing.assert_array_equal(part, whole[[2, 0]])
     assert not np.array_equal(chosen.qpos[0], chosen.qpos[1])
@@ -248,12 +247,12 @@ def test_distances_are_the_papers():
 def test_standing_pose_has_its_soles_on_the_floor():
     simulation = Simulation(bodies.get("Humanoid"), 1)
     simulation.place(0, np.array(simulation.body.standing_pose), np.zeros(27))
-    data = simulation.states[0]
+    data = simulation.data()
     assert data.ncon == 0 or abs(data.contact.dist).max() < 1e-6
     lowered = np.array(simulation.body.standing_pose)
     lowered[2] -= 1e-3
     simulation.place(0, lowered, np.zeros(27))
-    assert data.ncon > 0
+    assert simulation.data().ncon > 0
 
 
 def test_bad_input_is_refused():
@@ -276,11 +275,46 @@ def test_bad_input_is_refused():
         single.render()
 
 
-def test_physics_that_explodes_ends_the_episode_without_reward():
-    env = make_vec("Humanoid", 1)
+@pytest.mark.parametrize("field", ["qpos", "qvel"])
+def test_physics_that_explodes_ends_the_episode_without_reward(field: str):
+    env = make_vec("Humanoid", 3)
     env.reset()
-    env.simulation.states[0].qvel[:] = 1e12
-    _, rewards, dones, infos = env.step(np.zeros((1, 21)))
-    assert dones[0] and rewards[0] == 0.0
-    assert not infos[0]["TimeLimit.truncated"]
-    assert np.isfinite(infos[0]["terminal_observation"]).all()
+    env.step(np.zeros((3, 21)))
+    getattr(env.simulation, field)[1, 0] = 1e12
+    _, rewards, dones, infos = env.step(np.zeros((3, 21)))
+    assert dones.tolist() == [False, True, False]
+    assert rewards[1] == 0.0 and rewards[[0, 2]].min() > 0
+    assert not infos[1]["TimeLimit.truncated"]
+    assert np.isfinite(infos[1]["terminal_observation"]).all()
+    assert not env.step(np.zeros((3, 21)))[2].any()
+
+
+@pytest.mark.parametrize("name", ["HumanoidR", "Atlas"])
+def test_the_batch_steps_bit_for_bit_as_mj_step_does(name: str):
+    """A control step is mj_step2, mj_step four times, mj_step1, as in dm_control."""
+    body = dataclasses.replace(bodies.get(name), fall_head_m=-1.0)  # falls are part of it
+    env = make_vec(body, 3, seed=2)
+    env.reset()
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    singles = [mujoco.MjData(model) for _ in range(3)]
+    for index, data in enumerate(singles):
+        data.qpos[:], data.qvel[:] = env.simulation.qpos[index], env.simulation.qvel[index]
+        mujoco.mj_forward(model, data)
+    n_substeps = body.n_substeps
+    for rows in actions(100, 3, body.action_size):
+        env.step(rows)
+        for data, row in zip(singles, rows, strict=True):
+            data.ctrl[:] = row
+            mujoco.mj_step2(model, data)
+            mujoco.mj_step(model, data, n_substeps - 1)
+            mujoco.mj_step1(model, data)
+            mujoco.mj_subtreeVel(model, data)
+    reading, landmarks = env.simulation.read(), Landmarks(model, body.skeleton)
+    for index, data in enumerate(singles):
+        np.testing.assert_array_equal(reading.qpos[index], data.qpos)
+        np.testing.assert_array_equal(reading.qvel[index], data.qvel)
+        np.testing.assert_array_equal(reading.points[index], landmarks.points(data))
+        np.testing.assert_array_equal(reading.com_velocity[index], data.subtree_linvel[1])
+    assert np.ptp(reading.head_m) > 0.01
+    mujoco.mj_step(model, singles[0])  # a whole step more is another state
+    assert not np.array_equal(reading.qpos[0], singles[0].qpos)

@@ -8,7 +8,7 @@ import pytest
 
 from silem import bodies
 from silem.bodies.body import Skeleton
-from silem.motion import clips, demonstrator
+from silem.motion import demonstrator
 from silem.motion.features import FEATURES, POINTS, Landmarks, g, skeletal_features
 from silem.util.errors import SilemError
 
@@ -292,7 +292,7 @@ def test_humanoid_r_is_not_its_own_mirror_image() -> None:
 
 @pytest.mark.parametrize("clip", demonstrator.CLIPS)
 def test_the_man_walks_forward_as_people_do(clip: str) -> None:
-    motion = clips.published_motion(clip)
+    motion = demonstrator.published_motion(clip)
     features = motion.features
     forward = feature(features, "com_velocity").mean(axis=0)
     assert forward[0] == pytest.approx(motion.speed_m_s, rel=0.05)
@@ -316,7 +316,7 @@ def test_the_man_walks_forward_as_people_do(clip: str) -> None:
 def test_knees_bend_forward_and_elbows_backward(
     ends: tuple[str, str], joint: str, sign: int
 ) -> None:
-    motion = clips.published_motion("08_01")
+    motion = demonstrator.published_motion("08_01")
     for side in ("left", "right"):
         points = [motion.points[:, POINTS.index(f"{side}_{name}")] for name in (*ends, joint)]
         bend = points[2] - (points[0] + points[1]) / 2
@@ -330,7 +330,7 @@ def test_the_floor_the_man_walks_on_is_level() -> None:
     """A line through the heights of standing feet, of all clips together."""
     places, heights = [], []
     for clip in demonstrator.CLIPS:
-        motion = clips.published_motion(clip)
+        motion = demonstrator.published_motion(clip)
         for foot in ("left_foot", "right_foot"):
             track = motion.points[:, POINTS.index(foot)]
             standing = np.abs(np.gradient(track[:, 0]) * motion.rate_hz) < 0.3
@@ -342,7 +342,7 @@ def test_the_floor_the_man_walks_on_is_level() -> None:
 
 
 def test_velocity_is_the_derivative_of_the_centre_of_mass() -> None:
-    motion = clips.published_motion("08_01")
+    motion = demonstrator.published_motion("08_01")
     model = demonstrator.model()
     data = mujoco.MjData(model)
     centers = []

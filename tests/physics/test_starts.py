@@ -8,17 +8,20 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from stable_baselines3.common.vec_env import VecEnv
 
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
-from silem.motion import demonstrations
+from silem.envs.mujoco import task as walking
+from silem.motion import demonstrations, retargeted
 from silem.motion.demonstrations import Demonstrations
-from silem.motion.retarget_report import BODIES, learner, published_retargeting
-from silem.motion.soles import Soles
-from silem.motion.starts import demonstration_states
+from silem.motion.demonstrator import CLIPS, published_motion, published_name
+from silem.motion.kinematics import Soles
+from silem.motion.retargeting import BODIES, demonstration_states, learner, published_retargeting
+from silem.study import evaluate, runs, training
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, retargeted
-from silem.study.training import make_env
+from silem.study.settings import BUDGETS, HUMAN
+from silem.study.training import make_env, task_options
 from silem.util import paths
 from silem.util.errors import SilemError
 
@@ -32,13 +35,7 @@ def states(body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
 def lowest_soles(body: MujocoBody, qpos: np.ndarray) -> np.ndarray:
     """How high each state's lowest sole is above the floor, (S,)."""
     model = mujoco.MjModel.from_xml_string(body.model_xml())
-    data = mujoco.MjData(model)
-    soles = Soles(model, [body.skeleton.left_foot, body.skeleton.right_foot])
-    heights = []
-    for data.qpos[:] in qpos:
-        mujoco.mj_kinematics(model, data)
-        heights.append(soles.heights(data).min())
-    return np.array(heights)
+    return Soles(model, body.skeleton).lowest(qpos).min(axis=1)
 
 
 @pytest.mark.parametrize("name", BODIES)
@@ -85,9 +82,9 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return retargeted(HUMAN, "Humanoid")
 
 
-def publish(name: str, **extra: np.ndarray) -> None:
+def publish(name: str, about: dict[str, str | float] | None = None, **extra: np.ndarray) -> None:
     features = np.zeros((3, 23), np.float32)
-    demonstrations.publish(name, Demonstrations((features,), body="Humanoid", extra=extra), {})
+    demonstrations.publish(name, Demonstrations((features,), body="Humanoid", extra=extra), about)
 
 
 def test_states_of_another_body_are_refused(broken: str) -> None:
@@ -135,3 +132,84 @@ def test_a_runner_has_no_such_starts() -> None:
     with pytest.raises(SilemError, match="HC0"):
         make_env(config)
     assert not (paths.demonstrations_dir() / f"{retargeted(HUMAN, 'HC0')}.npz").exists()
+
+
+# ---------------------------------------------------------------- the speed that the task asks for
+
+
+def test_the_studys_clip_asks_for_what_the_task_always_asked_for() -> None:
+    """1.599678 m/s are 1.60; what a humanoid earns in committed runs must not change by a bit."""
+    for body in BODIES:
+        for method in ("silem", "silem-minus", "tpil", "peng20"):
+            asked = task_options(RunConfig.create(body, method))
+            assert asked == {"speed_m_s": walking.DEMONSTRATOR_SPEED_M_S}
+        assert task_options(RunConfig.create(body, "ppo")) == {}
+    assert task_options(RunConfig.create("HC2", "silem")) == {}
+
+
+def test_every_clip_asks_for_its_own_speed() -> None:
+    asked = {
+        clip: task_options(RunConfig.create("Humanoid", "silem", published_name(clip)))["speed_m_s"]
+        for clip in CLIPS
+    }
+    for clip, speed_m_s in asked.items():
+        assert speed_m_s == pytest.approx(published_motion(clip).speed_m_s, abs=0.0051)
+    assert min(asked.values()) < 1.3 and max(asked.values()) > 1.7
+
+
+@pytest.fixture
+def own_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """A slow walk of one's own, as if it had been published; the states on Humanoid, (3, 28)."""
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    qpos = np.tile(bodies.of_kind("Humanoid", MujocoBody).standing_pose, (3, 1))
+    qpos[:, 7] = 0.1, 0.2, 0.3
+    publish("my_walk", {"speed_m_s": 0.8049, "capture_rate_hz": 60.0})
+    about = {"retargeted_from": "my_walk", "summary": "slower on shorter legs"}
+    publish(retargeted("my_walk", "Humanoid"), about, qpos=qpos, qvel=np.zeros((3, 27)))
+    return qpos
+
+
+@pytest.mark.parametrize(
+    ("method", "name"), [("silem", "my_walk"), ("peng20", "my_walk_on_Humanoid")]
+)
+def test_an_own_clip_gives_the_task_its_speed_and_episodes_their_starts(
+    method: str, name: str, own_walk: np.ndarray
+) -> None:
+    config = RunConfig.create("Humanoid", method, name, starts="demonstration")
+    assert task_options(config) == {"speed_m_s": 0.80}
+    env = make_env(config)
+    try:
+        env.reset()
+        begun = env.simulation.read().qpos
+        assert all((own_walk == state).all(axis=1).any() for state in begun)
+        actions = np.zeros((env.num_envs, env.action_space.shape[0]))
+        _, rewards, dones, _ = env.step(actions)
+        reading, head_m = env.simulation.read(), bodies.get("Humanoid").standing_head_m
+        assert not dones.any()
+        np.testing.assert_allclose(rewards, walking.rewards(reading, actions, head_m, 0.8), 1e-6)
+        other = walking.rewards(reading, actions, head_m, walking.DEMONSTRATOR_SPEED_M_S)
+        assert (rewards > other).all()
+    finally:
+        env.close()
+
+
+def test_a_run_is_trained_and_evaluated_on_the_same_task(
+    own_walk: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    for module in (training, evaluate):
+        make = module.make_vec
+
+        def noting(*args: object, make=make, **options: object) -> VecEnv:
+            asked.append(options.get("speed_m_s"))
+            return make(*args, **options)
+
+        monkeypatch.setattr(module, "make_vec", noting)
+    budget = BUDGETS["tiny"].with_iterations(1)
+    runs.run(RunConfig.create("Humanoid", "silem", "my_walk", budget), progress=False)
+    assert asked == [0.8, 0.8]
+
+
+def test_a_policys_episodes_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
+    publish("Humanoid", {"speed_m_s": 1.0})
+    assert task_options(RunConfig.create("Humanoid", "silem", "Humanoid")) == {}

@@ -12,8 +12,8 @@ import pybullet
 import pytest
 from stable_baselines3.common.vec_env import VecEnv
 
+from silem.bodies import BulletBody
 from silem.envs import BulletEnv, BulletVecEnv, make_vec
-from silem.envs.bullet.simulator import STEP_S
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -164,7 +164,9 @@ def test_episode_tells_return_length_and_speed():
     assert episode["r"] == pytest.approx(total, rel=1e-5)
     assert episode["l"] == steps
     assert abs(end - start) > 0.05
-    assert episode["speed_m_s"] == pytest.approx((end - start) / (steps * STEP_S), abs=0.1)
+    assert episode["speed_m_s"] == pytest.approx(
+        (end - start) / (steps * BulletBody.control_step_s), abs=0.1
+    )
     assert episode["t"] > 0
 
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
+from scipy.spatial.transform import Rotation
+
 from silem.motion import demonstrator
-from silem.motion.mocap import read_amc, read_asf
+from silem.motion.clips import read_amc, read_asf
+from silem.motion.demonstrator import Motion
 
 UNIT_M = 0.056444
+LEGS = {"femur": 7.174, "tibia": 7.188}  # of the model, in the files' unit
 Column = Callable[[int, str, int], float]
 
 
@@ -17,15 +22,30 @@ def joints() -> list[str]:
     return [model.joint(index).name for index in range(1, model.njnt)]
 
 
-def skeleton_text(columns: list[str]) -> str:
+def frame_of(bone: str) -> str:
+    """Three angles in degrees: how the model's bone lies when all joints are at zero."""
+    model = demonstrator.model()
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, bone) < 0:
+        return "0 0 0"
+    data = mujoco.MjData(model)
+    data.qpos[3:7] = 1, 0, 0, 0
+    mujoco.mj_kinematics(model, data)
+    matrix = data.body(bone).xmat.reshape(3, 3)
+    angles = Rotation.from_matrix(matrix).as_euler("xyz", degrees=True)
+    return " ".join(f"{angle:.6g}" for angle in angles)
+
+
+def skeleton_text(columns: list[str], leg_scale: float = 1.0) -> str:
     bones: dict[str, list[str]] = {}
     for column in columns:
         bones.setdefault(column[:-2], []).append(column[-2:])
     lines = [":version 1.10", ":units", "  length 0.45", "  angle deg"]
-    lines += [":root", "  order TX TY TZ RX RY RZ", ":bonedata"]
-    lines += ["  begin", "    name lhipjoint", "  end"]
+    lines += [":root", "  order TX TY TZ RX RY RZ", "  axis XYZ", "  orientation 0 0 0"]
+    lines += [":bonedata", "  begin", "    name lhipjoint", "    axis 0 0 0 XYZ", "  end"]
     for bone, axes in bones.items():
-        lines += ["  begin", f"    name {bone}", f"    dof {' '.join(sorted(axes))}", "  end"]
+        length = leg_scale * LEGS.get(bone[1:], 1.0)
+        lines += ["  begin", f"    name {bone}", f"    length {length:g}"]
+        lines += [f"    axis {frame_of(bone)}  XYZ", f"    dof {' '.join(sorted(axes))}", "  end"]
     lines += [":hierarchy", "  begin", f"    root lhipjoint {' '.join(bones)}", "  end"]
     return "\n".join(lines) + "\n"
 
@@ -65,8 +85,7 @@ class Files:
         path.write_text(clip_text(n_frames, column, self.columns))
         return path
 
-    def pose(self, column: Column, n_frames: int = 61, **kwargs: float):
-        kwargs = {"floor_slope": 0.0} | kwargs
-        return demonstrator.pose(
-            read_amc(self.clip(column, n_frames), read_asf(self.asf)), **kwargs
-        )
+    def pose(self, column: Column, n_frames: int = 61, **kwargs: float | None) -> Motion:
+        kwargs = {"capture_rate_hz": 120.0, "heading_rad": 0.0} | kwargs
+        clip = read_amc(self.clip(column, n_frames), read_asf(self.asf))
+        return demonstrator.pose(clip, **kwargs)

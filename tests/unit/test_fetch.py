@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from silem.motion import fetch
+from silem.motion import clips
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -32,13 +32,13 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     files.write_bytes(path, CONTENT.replace(b"\n", b"\r\n"))
     handler = functools.partial(_Quiet, directory=str(tmp_path / "server"))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
-    monkeypatch.setattr(fetch, "URL", f"http://127.0.0.1:{server.server_port}/")
-    monkeypatch.setitem(fetch.SHA256, NAME, hashlib.sha256(CONTENT).hexdigest())
+    monkeypatch.setattr(clips, "URL", f"http://127.0.0.1:{server.server_port}/")
+    monkeypatch.setitem(clips.SHA256, NAME, hashlib.sha256(CONTENT).hexdigest())
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path / "data"))
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    monkeypatch.delenv(fetch.ENV, raising=False)
+    monkeypatch.delenv(clips.ENV, raising=False)
     yield path
     server.shutdown()
     thread.join()
@@ -46,25 +46,25 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_a_file_is_downloaded_once_whatever_its_line_ends(served: Path) -> None:
-    path = fetch.mocap_file(NAME)
+    path = clips.mocap_file(NAME)
     assert path.read_text() == "one\ntwo\n"  # Python reads CR LF as one line end
     served.unlink()
-    assert fetch.mocap_file(NAME) == path
+    assert clips.mocap_file(NAME) == path
 
 
 def test_a_download_of_the_wrong_content_is_kept_aside(served: Path) -> None:
     served.write_bytes(b"other\n")
     found = hashlib.sha256(b"other\n").hexdigest()
     with pytest.raises(SilemError) as error:
-        fetch.mocap_file(NAME)
+        clips.mocap_file(NAME)
     message = str(error.value)
-    assert found in message and fetch.SHA256[NAME] in message
+    assert found in message and clips.SHA256[NAME] in message
     aside = paths.data_dir() / "mocap" / f"{NAME}.mismatch"
     assert str(aside) in message
     assert aside.read_bytes() == b"other\n"
     assert os.listdir(aside.parent) == [aside.name]
     served.write_bytes(CONTENT)
-    assert fetch.mocap_file(NAME).read_bytes() == CONTENT
+    assert clips.mocap_file(NAME).read_bytes() == CONTENT
 
 
 def test_no_network_is_one_error_that_says_where_the_file_belongs(
@@ -72,27 +72,27 @@ def test_no_network_is_one_error_that_says_where_the_file_belongs(
 ) -> None:
     place = paths.data_dir() / "mocap" / NAME
     served.unlink()
-    for url in (fetch.URL, "http://127.0.0.1:9/"):  # not there; nobody listens
-        monkeypatch.setattr(fetch, "URL", url)
+    for url in (clips.URL, "http://127.0.0.1:9/"):  # not there; nobody listens
+        monkeypatch.setattr(clips, "URL", url)
         with pytest.raises(SilemError, match=f"cannot download {url}{NAME}.* put the file at"):
-            fetch.mocap_file(NAME)
+            clips.mocap_file(NAME)
     assert not place.exists()
     files.write_bytes(place, CONTENT)  # as the error says
-    assert fetch.mocap_file(NAME) == place
+    assert clips.mocap_file(NAME) == place
 
 
 def test_the_users_own_folder_is_read_and_never_changed(
     served: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(fetch.ENV, str(tmp_path / "own"))
+    monkeypatch.setenv(clips.ENV, str(tmp_path / "own"))
     with pytest.raises(SilemError, match=f"own/{NAME} is missing; SILEM_MOCAP_DIR must hold it"):
-        fetch.mocap_file(NAME)
+        clips.mocap_file(NAME)
     own = tmp_path / "own" / NAME
     files.write_bytes(own, b"other\n")
-    with pytest.raises(SilemError, match=f"expected {fetch.SHA256[NAME]}"):
-        fetch.mocap_file(NAME)
+    with pytest.raises(SilemError, match=f"expected {clips.SHA256[NAME]}"):
+        clips.mocap_file(NAME)
     assert own.read_bytes() == b"other\n"
     files.write_bytes(own, CONTENT)
-    assert fetch.mocap_file(NAME) == own
+    assert clips.mocap_file(NAME) == own
     with pytest.raises(SilemError, match=r"unknown motion capture file '08/08_12\.amc'"):
-        fetch.mocap_file("08/08_12.amc")
+        clips.mocap_file("08/08_12.amc")

@@ -1,4 +1,4 @@
-"""The map of the house: rooms import from the left only, and no module imports itself in a circle."""
+"""The map: rooms import from the left only, and no module imports itself in a circle."""
 
 import ast
 import graphlib
@@ -11,10 +11,8 @@ import silem
 
 ROOMS = ["util", "paper", "bodies", "motion", "envs", "algorithms", "study", "report"]
 ROOT = Path(silem.__file__).parent
-MODULES = {
-    ".".join(("silem", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path
-    for path in sorted(ROOT.rglob("*.py"))
-}
+PATHS = {path.relative_to(ROOT.parent).with_suffix(""): path for path in sorted(ROOT.rglob("*.py"))}
+MODULES = {".".join(name.parts).removesuffix(".__init__"): path for name, path in PATHS.items()}
 
 
 def imports(module: str, *, at_start: bool) -> Iterator[str]:

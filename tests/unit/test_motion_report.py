@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from silem import paper
-from silem.motion import demonstrator, fetch
-from silem.motion.clips import published_motion
-from silem.motion.demonstrator import CLIPS, Motion
+from silem.motion import clips, demonstrator
+from silem.motion.demonstrator import CLIPS, Motion, published_motion
 from silem.motion.features import FEATURES, POINTS, Landmarks
-from silem.motion.targets import SIDES, standing_feet
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import standing_feet
 from silem.report import motion_video, rendering, style
 from silem.report.figures import motion as figures
 from silem.util.errors import SilemError
@@ -28,7 +28,7 @@ from silem.util.errors import SilemError
 @pytest.fixture(autouse=True)
 def no_raw_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is shown comes from what is committed."""
-    monkeypatch.setenv(fetch.ENV, str(tmp_path))
+    monkeypatch.setenv(clips.ENV, str(tmp_path))
 
 
 @pytest.fixture

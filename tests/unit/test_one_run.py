@@ -9,7 +9,7 @@ import pytest
 import synthetic_records as synthetic
 from matplotlib.figure import Figure
 
-from silem.envs.bullet.simulator import STEP_S
+from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations
 from silem.report import one_run
 from silem.report.features import feature_names
@@ -42,7 +42,9 @@ def test_contacts_become_one_bar_per_touch() -> None:
     axes = one_run.trajectory(shown).axes[3]
     row = [tick.get_text() for tick in axes.get_yticklabels()].index("back foot")
     boxes = [path.get_extents() for path in axes.collections[row].get_paths()]
-    spans = [(box.x0 / STEP_S, box.x1 / STEP_S) for box in boxes]
+    spans = [
+        (box.x0 / BulletBody.control_step_s, box.x1 / BulletBody.control_step_s) for box in boxes
+    ]
     assert np.allclose(spans, [(3, 6), (9, 10)])
     assert all(
         len(collection.get_paths()) == 0
@@ -52,7 +54,7 @@ def test_contacts_become_one_bar_per_touch() -> None:
 
 
 def test_trajectory_shows_the_seconds_asked_for() -> None:
-    figure = one_run.trajectory(demonstrations("HC0"), duration_s=10 * STEP_S)
+    figure = one_run.trajectory(demonstrations("HC0"), duration_s=10 * BulletBody.control_step_s)
     assert len(figure.axes[0].lines[0].get_xdata()) == 10
 
 

@@ -14,12 +14,18 @@ from matplotlib.patches import Circle
 from scipy.optimize import minimize
 
 from silem.bodies.humanoid import ARM_FACTORS
-from silem.motion.clips import published_motion
-from silem.motion.demonstrator import Motion
+from silem.motion.demonstrator import Motion, published_motion
 from silem.motion.features import POINTS
-from silem.motion.retarget import TOLERANCE_M, IKResult
-from silem.motion.retarget_report import BODIES, learner, published_retargeting
-from silem.motion.targets import SIDES, TARGETS, standing_feet
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import (
+    BODIES,
+    TARGETS,
+    TOLERANCE_M,
+    IKResult,
+    learner,
+    published_retargeting,
+    standing_feet,
+)
 from silem.report import rendering, retargeting, retargeting_video, style
 from silem.report.figures import retargeting as figures
 from silem.report.figures.motion import SIDE_COLORS

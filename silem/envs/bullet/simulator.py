@@ -8,14 +8,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
 import pybullet
 import pybullet_data
 
-from silem.bodies import BulletBody, bullet
+from silem import bodies
+from silem.bodies import Body, BulletBody, measure
 from silem.util.errors import SilemError
 
-STEP_S = 0.0165  # one control step, as in PyBullet's locomotion tasks
-SUBSTEPS = 4
+JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
+SUBSTEPS = 4  # of PyBullet's locomotion tasks, as what follows
 _SOLVER_ITERATIONS = 5
 _GRAVITY_M_S2 = 9.8
 _CONTACT_ERP = 0.9
@@ -25,6 +27,17 @@ _ANY_LINK = -2  # in PyBullet's filter of contacts
 _FIELDS = {"center": 0, "origin": 4}  # of what PyBullet tells of a link
 
 _Numbers: TypeAlias = tuple[float, ...]
+
+
+def body_of(body: Body | str) -> BulletBody:
+    """Return a body, given itself or its name; raises SilemError where PyBullet steps it not."""
+    return bodies.of_kind(body, BulletBody)
+
+
+def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float]:
+    """Draw (J,) joint angles in rad for an episode's start."""
+    angles = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
+    return angles.tolist()
 
 
 class State(NamedTuple):
@@ -93,7 +106,7 @@ class Simulator:
     def place(self, link: str) -> tuple[_Numbers, _Numbers]:
         """Return the position in m and the quaternion, in the world, of a link's own frame."""
         index, client = self._links[link], {"physicsClientId": self.client}
-        if index == bullet.BASE:
+        if index == measure.BASE:
             position, quaternion = pybullet.getBasePositionAndOrientation(self.robot, **client)
             return position, quaternion
         state = pybullet.getLinkState(self.robot, index, **client)
@@ -110,7 +123,7 @@ class Simulator:
         pybullet.setGravity(0, 0, -_GRAVITY_M_S2, **client)
         pybullet.setDefaultContactERP(_CONTACT_ERP, **client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=STEP_S,
+            fixedTimeStep=self.body.control_step_s,
             numSolverIterations=_SOLVER_ITERATIONS,
             numSubSteps=SUBSTEPS,
             **client,
@@ -119,18 +132,18 @@ class Simulator:
         (self.floor,) = pybullet.loadSDF(floor, **client)
         pybullet.changeDynamics(
             self.floor,
-            bullet.BASE,
+            measure.BASE,
             lateralFriction=_FLOOR_FRICTION,
             restitution=_FLOOR_RESTITUTION,
             **client,
         )
-        self.robot = bullet.load(self.body, self.client)
+        self.robot = measure.load(self.body, self.client)
 
     def _find(self) -> None:
         """Find the joints and links that the body names, and free every joint's motor."""
-        infos = bullet.joint_infos(self.robot, self.client)
+        infos = measure.joint_infos(self.robot, self.client)
         joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
-        self._links = bullet.link_names(self.robot, self.client)
+        self._links = measure.link_names(self.robot, self.client)
         self.joints = [joint_index[motor.joint] for motor in self.body.motors]
         self.limits = [infos[joint][8:10] for joint in self.joints]
         for joint in range(len(infos)):
@@ -194,7 +207,7 @@ class Simulator:
         client, robot, link_states = self.client, self.robot, pybullet.getLinkStates
         base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
         root = self._links[self.body.root]
-        has_base = root == bullet.BASE
+        has_base = root == measure.BASE
         parts = self.body.parts[has_base:]
         links = list(dict.fromkeys(self._links[part.link] for part in parts))
         picks = [(links.index(self._links[part.link]), _FIELDS[part.point]) for part in parts]

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any, SupportsFloat
+from typing import Any
 
-import gymnasium
 import numpy as np
 
-from silem import bodies
-from silem.bodies import BulletBody
-from silem.envs.base import check_actions
+from silem.bodies import Body
+from silem.envs.base import SingleEnv
 from silem.envs.bullet.camera import Camera
-from silem.envs.bullet.simulator import STEP_S, Simulator
-from silem.envs.bullet.task import LocomotionTask, as_observations
-from silem.envs.bullet.vec_env import spaces, start_angles
-from silem.envs.filmed import Filmed
-from silem.util.errors import SilemError, choose
+from silem.envs.bullet.simulator import Simulator, body_of, start_angles
+from silem.envs.bullet.task import LocomotionTask, as_observations, observation_space
 
 
-class BulletEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
-    """One body on its track; `gymnasium.make("silem/HC0-v0")` makes it with a limit of steps."""
-
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": round(1 / STEP_S)}  # noqa: RUF012
+class BulletEnv(SingleEnv):
+    """One body on its track."""
 
     def __init__(
-        self, body: str, render_mode: str | None = None, width: int = 640, height: int = 480
+        self,
+        body: Body | str,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
     ) -> None:
         """Make the environment; the simulator is built by the first `reset`.
 
         Args:
-            body: Name of the body.
+            body: A body or its name.
             render_mode: "rgb_array" to be able to render, or None.
             width: Of the pictures, in pixels.
             height: Of the pictures, in pixels.
@@ -37,57 +34,24 @@ class BulletEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the body or the render mode is unknown.
         """
-        self.body = bodies.of_kind(body, BulletBody)
-        if render_mode is not None:
-            choose("render mode", render_mode, self.metadata["render_modes"])
-        self.render_mode = render_mode
-        self.observation_space, self.action_space = spaces(self.body)
-        self.picture_size = (width, height)
+        self._learner = body_of(body)
         self._simulator: Simulator | None = None
+        space = observation_space(self._learner)
+        super().__init__(self._learner, space, render_mode, (width, height))
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; a seed makes it, and what follows, repeatable.
-
-        Returns:
-            The first observation (O,), float32, and an empty info.
-        """
-        super().reset(seed=seed)
+    def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         if self._simulator is None:
-            self._simulator = Simulator(self.body)
-            self._task = LocomotionTask(self.body, self._simulator.limits)
-        state = self._simulator.reset(start_angles(self.np_random, self.body))
+            self._simulator = Simulator(self._learner)
+            self._task = LocomotionTask(self._learner, self._simulator.limits)
+        state = self._simulator.reset(start_angles(self.np_random, self._learner))
         return as_observations(self._task.begin(state)), {}
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step by one control step.
-
-        Args:
-            action: (A,); beyond -1..1 the torque is clipped, the cost is not.
-
-        Returns:
-            Observation (O,), float32, reward, whether the body has fallen, False, an empty info.
-
-        Raises:
-            SilemError: If the action has another shape or is not finite, or before `reset`.
-        """
-        row = check_actions(action, (self.body.action_size,)).tolist()
-        if self._simulator is None:
-            raise SilemError("step before reset")
+    def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
+        assert self._simulator is not None
+        row = action.tolist()
         self._simulator.advance(row)
         observation, reward, fallen = self._task.step(row, self._simulator.read())
-        return as_observations(observation), reward, fallen, False, {}
-
-    def render(self) -> np.ndarray | None:
-        """Return a picture (H, W, 3), uint8, or None without a render mode.
-
-        Raises:
-            SilemError: Before `reset`.
-        """
-        return None if self.render_mode is None else self._picture()
+        return as_observations(observation), reward, fallen, {}
 
     def _is_reset(self) -> bool:
         return self._simulator is not None
@@ -98,6 +62,7 @@ class BulletEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
 
     def close(self) -> None:
         """Disconnect the simulator; closing twice is allowed."""
+        super().close()
         if self._simulator is not None:
             self._simulator.close()
-        self._simulator = self._camera = None
+        self._simulator = None

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import gymnasium
 import numpy as np
 
 from silem.bodies import BulletBody
-from silem.envs.bullet.simulator import STEP_S, State
+from silem.envs.bullet.simulator import State
 
 OBSERVATION_BOUND = 5.0  # observations are clipped to +- this
 
@@ -25,6 +26,12 @@ _LIMIT_COST = -0.1
 _AT_LIMIT = 0.99  # share of a joint's range beyond which it counts as at its limit
 _VELOCITY_SCALE = 0.3  # of the root's velocity in the observation
 _JOINT_VELOCITY_SCALE = 0.1
+
+
+def observation_space(body: BulletBody) -> gymnasium.spaces.Box:
+    """Return the space of observations (O,): see `LocomotionTask`."""
+    bound, shape = OBSERVATION_BOUND, (body.observation_size,)
+    return gymnasium.spaces.Box(-bound, bound, shape, np.float32)
 
 
 class LocomotionTask:
@@ -53,7 +60,7 @@ class LocomotionTask:
             limits: Lower and upper limit in rad of each motor's joint.
             max_steps: Steps after which an episode ends without having terminated.
         """
-        self._max_steps = max_steps
+        self._max_steps, self._step_s = max_steps, body.control_step_s
         self._terminates = body.alive.terminates
         self._min_height_m, self._max_pitch_rad = body.alive.min_height_m, body.alive.max_pitch_rad
         self._no_contact = [body.feet.index(name) for name in body.alive.no_contact]
@@ -85,7 +92,7 @@ class LocomotionTask:
         """
         observation, distance_m, costs = self._observe(state, action)
         upright = self._is_upright(state)
-        progress = (self._distance_m - distance_m) / STEP_S
+        progress = (self._distance_m - distance_m) / self._step_s
         reward = progress + costs + (1.0 if upright else -1.0)
         self.terminated = self._terminates and not upright
         if not math.isfinite(reward):  # the physics exploded
@@ -105,7 +112,7 @@ class LocomotionTask:
         return {
             "r": self._return,
             "l": self.length,
-            "speed_m_s": distance_m / (self.length * STEP_S),
+            "speed_m_s": distance_m / (self.length * self._step_s),
             "upright": self._n_upright / self.length,
         }
 

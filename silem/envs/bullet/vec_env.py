@@ -1,35 +1,17 @@
-"""N PyBullet clients behind one stable-baselines3 VecEnv."""
+"""E PyBullet clients behind one stable-baselines3 VecEnv."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem import bodies
-from silem.bodies import Body, BulletBody
-from silem.envs.base import MAX_STEPS, BatchedEnv
+from silem.bodies import Body
+from silem.envs.base import BatchedEnv
 from silem.envs.bullet.camera import Camera
-from silem.envs.bullet.simulator import Simulator
-from silem.envs.bullet.task import OBSERVATION_BOUND, LocomotionTask, as_observations
-
-JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
-
-
-def spaces(body: BulletBody) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    """Return a body's observation space and action space."""
-    observation = gymnasium.spaces.Box(
-        -OBSERVATION_BOUND, OBSERVATION_BOUND, (body.observation_size,), np.float32
-    )
-    return observation, gymnasium.spaces.Box(-1.0, 1.0, (body.action_size,), np.float32)
-
-
-def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float]:
-    """Draw (J,) joint angles in rad for an episode's start."""
-    angles = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
-    return angles.tolist()
+from silem.envs.bullet.simulator import Simulator, body_of, start_angles
+from silem.envs.bullet.task import LocomotionTask, as_observations, observation_space
 
 
 class BulletVecEnv(BatchedEnv):
@@ -39,7 +21,6 @@ class BulletVecEnv(BatchedEnv):
     all clients afresh.
 
     Attributes:
-        body: The body.
         simulators: The E simulators; empty before the first `reset` and after `close`.
     """
 
@@ -48,7 +29,7 @@ class BulletVecEnv(BatchedEnv):
         body: Body | str,
         n_envs: int = 4,
         seed: int = 0,
-        max_steps: int = MAX_STEPS,
+        max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
     ) -> None:
         """Make the environments; the clients are built by the first `reset`.
@@ -57,16 +38,16 @@ class BulletVecEnv(BatchedEnv):
             body: A body or its name.
             n_envs: E, at least 1.
             seed: Root of all environments' random streams.
-            max_steps: Steps after which an episode is cut off.
+            max_steps: Steps after which an episode is cut off; None means the body's.
             render_mode: "rgb_array" or None.
 
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self.body = bodies.of_kind(body, BulletBody)
-        self.render_mode = render_mode
+        self._learner = body_of(body)
         self.simulators: list[Simulator] = []
-        super().__init__(n_envs, spaces(self.body), seed, max_steps)
+        space = observation_space(self._learner)
+        super().__init__(self._learner, space, n_envs, seed, max_steps, render_mode)
 
     def reset(self) -> np.ndarray:
         """Start a new episode in every environment.
@@ -74,8 +55,12 @@ class BulletVecEnv(BatchedEnv):
         Returns:
             (E, O) first observations, float32.
         """
-        if self._next_generators or not self.simulators:
-            self._rebuild()
+        if self._take_seed() or not self.simulators:
+            self.close()
+            self.simulators = [Simulator(self._learner) for _ in range(self.num_envs)]
+            self._tasks = [
+                LocomotionTask(self._learner, sim.limits, self.max_steps) for sim in self.simulators
+            ]
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._actions = None
         return np.stack([self._begin(index) for index in range(self.num_envs)])
@@ -101,15 +86,17 @@ class BulletVecEnv(BatchedEnv):
         infos: list[dict[str, Any]] = [{} for _ in dones]
         if True in dones:
             for index in np.flatnonzero(dones).tolist():
-                infos[index] = self._last_info(index, observations[index].copy())
+                task, last = self._tasks[index], observations[index].copy()
+                infos[index] = self._last_info(last, task.terminated, task.summary())
                 observations[index] = self._begin(index)
         return observations, np.array(rewards, dtype=np.float32), np.array(dones), infos
 
     def close(self) -> None:
         """Disconnect all clients; closing twice is allowed."""
+        super().close()
         for simulator in self.simulators:
             simulator.close()
-        self.simulators, self._camera = [], None
+        self.simulators = []
 
     def _is_reset(self) -> bool:
         return bool(self.simulators)
@@ -117,27 +104,8 @@ class BulletVecEnv(BatchedEnv):
     def _make_camera(self) -> Camera:
         return Camera(self.simulators[0], *self.picture_size)
 
-    def _rebuild(self) -> None:
-        """Build all clients afresh, with the random streams of the latest seed."""
-        self.close()
-        self._generators = self._next_generators or self._generators
-        self._next_generators = []
-        self.simulators = [Simulator(self.body) for _ in range(self.num_envs)]
-        self._tasks = [
-            LocomotionTask(self.body, sim.limits, self.max_steps) for sim in self.simulators
-        ]
-
     def _begin(self, index: int) -> np.ndarray:
         """Start an episode of one environment and return its first observation (O,)."""
-        angles = start_angles(self._generators[index], self.body)
+        angles = start_angles(self._generators[index], self._learner)
         state = self.simulators[index].reset(angles)
         return as_observations(self._tasks[index].begin(state))
-
-    def _last_info(self, index: int, observation: np.ndarray) -> dict[str, Any]:
-        """Return the info of an episode that has just ended with this observation (O,)."""
-        task = self._tasks[index]
-        return {
-            "terminal_observation": observation,
-            "TimeLimit.truncated": not task.terminated,
-            "episode": task.summary() | {"t": self._since_built_s()},
-        }

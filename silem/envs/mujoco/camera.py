@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import copy
+import math
 
 import mujoco
 import numpy as np
@@ -12,9 +13,6 @@ from silem.envs.mujoco.simulator import Simulation
 from silem.util.errors import SilemError
 from silem.util.offscreen import BACKEND
 
-_AZIMUTH_DEG, _ELEVATION_DEG = 125.0, -12.0  # seen from the front left, from a little above
-_LOOK_AT_M = 0.55  # share of the standing head's height that is in the middle of the picture
-_DISTANCE = 2.1  # in heights of the standing head
 _VARIED = (0.91, 0.44, 0.16, 1.0)  # the links whose length sets the body apart
 
 
@@ -36,11 +34,14 @@ class MujocoCamera:
             raise SilemError(f"picture of {width} x {height} pixels: not positive")
         self._simulation = simulation
         self._model = _painted(simulation, width, height)
-        height_m = simulation.body.standing_head_m
+        view = simulation.body.view
+        x, y, z = view.direction
         self._camera = mujoco.MjvCamera()
-        self._camera.azimuth, self._camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
-        self._camera.distance = _DISTANCE * height_m
-        self._camera.lookat[2] = _LOOK_AT_M * height_m
+        self._camera.azimuth = math.degrees(math.atan2(y, x))
+        self._camera.elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
+        half_angle_rad = math.radians(self._model.vis.global_.fovy) / 2
+        self._camera.distance = view.span_m / 2 / math.tan(half_angle_rad)
+        self._camera.lookat[2] = view.look_at_m
         try:
             self._renderer = mujoco.Renderer(self._model, height, width)
         except Exception as error:  # each OpenGL backend raises its own kind
@@ -53,7 +54,7 @@ class MujocoCamera:
 
     def picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the body as it is now."""
-        data = self._simulation.states[0]
+        data = self._simulation.data()
         self._camera.lookat[:2] = data.qpos[:2]
         self._renderer.update_scene(data, self._camera)
         return self._renderer.render()

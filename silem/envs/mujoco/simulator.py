@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
-
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 
 from silem import bodies
 from silem.bodies import Body, MujocoBody
@@ -19,6 +16,9 @@ VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and
 
 StartStates = tuple[np.ndarray, np.ndarray]
 """Positions (S, nq) and velocities (S, nv) to start episodes from, drawn at random."""
+
+# what MuJoCo counts when it starts a state anew: of positions, velocities or accelerations
+_FAILURES = slice(mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQACC + 1)
 
 
 def body_of(body: Body | str) -> MujocoBody:
@@ -35,74 +35,73 @@ class Simulation:
     Attributes:
         body: The body.
         model: Its compiled model.
-        states: The E states.
+        qpos: Positions of all joints, (E, nq); writing to them moves the bodies.
+        qvel: Their velocities, (E, nv).
     """
 
     def __init__(self, body: MujocoBody, n_envs: int, n_threads: int = 1) -> None:
         self.body = body
-        self.model = mujoco.MjModel.from_xml_string(body.model_xml())
-        # Nothing reads sensors; what is needed is computed once per control step, not per substep.
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-        self.states = [mujoco.MjData(self.model) for _ in range(n_envs)]
+        self.model = _model(body)
+        self._batch = Batch(self.model, n_envs, n_threads, persistent=True)
         self._landmarks = Landmarks(self.model, body.skeleton)
-        torso, root = self._landmarks.torso, self._landmarks.root
-        self._controls = [data.ctrl for data in self.states]
-        self._views = [
-            (data.qpos, data.qvel, data.xpos.ravel(), data.xmat[torso], data.subtree_linvel[root])
-            for data in self.states
-        ]
-        bounds = np.cumsum([0, *(view.size for view in self._views[0])]).tolist()
-        self._columns = [slice(*pair) for pair in itertools.pairwise(bounds)]
-        self._threads = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
-        self._shares = [share.tolist() for share in np.array_split(np.arange(n_envs), n_threads)]
+        self.qpos, self.qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._controls = self._batch.bind("ctrl")
+        self._n_failures = self._batch.warning[:, _FAILURES, 1]
+        self._none = np.zeros(n_envs, dtype=bool)
+        self._views = (
+            self.qpos,
+            self.qvel,
+            self._batch.bind("xpos"),
+            self._batch.bind("xmat")[:, self._landmarks.torso],
+            self._batch.bind("subtree_linvel")[:, self._landmarks.root],
+        )
+        self._blank = self._batch.state[0].copy()
 
-    def place(self, index: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Put one state at joint positions (nq,) and velocities (nv,)."""
-        data = self.states[index]
-        mujoco.mj_resetData(self.model, data)
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        mujoco.mj_forward(self.model, data)
-        mujoco.mj_subtreeVel(self.model, data)
+    def place(self, index: int | np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Put a state at joint positions (nq,) and velocities (nv,), or several (n,) at theirs."""
+        self._batch.state[index] = self._blank
+        self.qpos[index], self.qvel[index] = qpos, qvel
+        self._batch.forward(np.atleast_1d(index), mujoco.mjtStage.mjSTAGE_VEL)
 
-    def advance(self, actions: np.ndarray) -> list[bool]:
+    def advance(self, actions: np.ndarray) -> np.ndarray:
         """Apply actions (E, A), within -1..1, for one control step.
 
         Returns:
-            Per environment, whether its physics went wrong: MuJoCo then starts the state anew.
+            Per environment (E,), whether its physics went wrong: MuJoCo then starts it anew.
         """
-        if self._threads is None:
-            return self._advance(self._shares[0], actions)
-        results = self._threads.map(self._advance, self._shares, itertools.repeat(actions))
-        return [failed for share in results for failed in share]
-
-    def _advance(self, indices: list[int], actions: np.ndarray) -> list[bool]:
-        model, rest, failed = self.model, self.body.n_substeps - 1, []
-        least = self.body.control_step_s - 0.5 * model.opt.timestep
-        for index in indices:
-            data = self.states[index]
-            self._controls[index][:] = actions[index]
-            due = data.time + least
-            mujoco.mj_step2(model, data)
-            if rest:
-                mujoco.mj_step(model, data, rest)
-            mujoco.mj_step1(model, data)
-            mujoco.mj_subtreeVel(model, data)
-            failed.append(data.time < due)
+        self._controls[:] = actions
+        self._batch.step(nstep=self.body.n_substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        failed = self._n_failures.any(axis=1) if np.count_nonzero(self._n_failures) else self._none
+        self._n_failures[:] = 0
         return failed
 
-    def read(self, indices: Iterable[int] | None = None) -> Reading:
+    def read(self, indices: np.ndarray | None = None) -> Reading:
         """Return copies of what the states hold: the chosen ones', or all."""
-        views = self._views if indices is None else [self._views[index] for index in indices]
-        # One copy of everything, a row per state: what counts here is the number of NumPy calls.
-        rows = np.concatenate(list(itertools.chain.from_iterable(views))).reshape(len(views), -1)
-        qpos, qvel, xpos, xmat, velocity = (rows[:, columns] for columns in self._columns)
-        points = xpos.reshape(len(rows), -1, 3).take(self._landmarks.ids, axis=1)
-        return Reading(qpos, qvel, points, self._landmarks.oriented(xmat), velocity)
+        views = self._views if indices is None else [view[indices] for view in self._views]
+        qpos, qvel, places, torso, velocity = views
+        points, axes = places.take(self._landmarks.ids, 1), self._landmarks.oriented(torso)
+        return Reading(qpos.copy(), qvel.copy(), points, axes, velocity.copy())
 
-    def close(self) -> None:
-        """End the threads; closing twice is allowed."""
-        if self._threads is not None:
-            self._threads.shutdown()
+    def data(self, index: int = 0) -> mujoco.MjData:
+        """Return a copy of all that MuJoCo knows of one state."""
+        return self._batch.get_data(index)
+
+
+def _model(body: MujocoBody) -> mujoco.MjModel:
+    """Compile a body's model, with one sensor: the velocity of its centre of mass."""
+    spec = mujoco.MjSpec.from_string(body.model_xml())
+    for sensor in spec.sensors:
+        spec.delete(sensor)
+    root = spec.body(body.skeleton.torso)
+    while root.parent.name != "world":
+        root = root.parent
+    spec.add_sensor(
+        name="com_velocity",
+        type=mujoco.mjtSensor.mjSENS_SUBTREELINVEL,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=root.name,
+    )
+    return spec.compile()
 
 
 def start_state(

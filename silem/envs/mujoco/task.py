@@ -9,23 +9,24 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import gymnasium
 import numpy as np
 
 from silem.bodies import MujocoBody
-from silem.motion.features import FEATURES, POINTS
-
-DEMONSTRATOR_SPEED_M_S = 1.6
-"""Mean speed of the man in clip 08_01: 3.679 m in 2.30 s."""
+from silem.motion.features import FEATURES, POINTS, skeletal_features
 
 _UPRIGHT_FROM = 0.9  # cosine of the torso's tilt
 _UPRIGHT_MARGIN = 1.9
 _LOG_MARGIN_VALUE = np.log(0.1)  # dm_control's default value of its Gaussian at the margin
 _FEATURE_NAMES = [feature.name for feature in FEATURES]
-_OBSERVED = [_FEATURE_NAMES.index("head_height")] + [
-    _FEATURE_NAMES.index(f"{vector}_{axis}")
-    for vector in ("left_hand", "left_foot", "right_hand", "right_foot", "torso_vertical")
-    for axis in "xyz"
-]
+_OBSERVED = np.array(
+    [_FEATURE_NAMES.index("head_height")]
+    + [
+        _FEATURE_NAMES.index(f"{vector}_{axis}")
+        for vector in ("left_hand", "left_foot", "right_hand", "right_foot", "torso_vertical")
+        for axis in "xyz"
+    ]
+)
 _HEAD = POINTS.index("head")
 
 
@@ -51,10 +52,20 @@ class Reading(NamedTuple):
         """Height of the head, (E,)."""
         return self.points[:, _HEAD, 2]
 
+    def joined(self, other: Reading) -> Reading:
+        """Return this reading's states and, after them, another's."""
+        return Reading(*map(np.concatenate, zip(self, other, strict=True)))
 
-def observation_size(body: MujocoBody) -> int:
-    """Return O: hinges, head, extremities, vertical, velocities of centre of mass and joints."""
-    return body.action_size + 1 + 12 + 3 + 3 + 6 + body.action_size
+    def features(self) -> np.ndarray:
+        """Return the skeletal features (E, F), float32."""
+        return skeletal_features(self.points, self.torso_axes, self.com_velocity)
+
+
+def observation_space(body: MujocoBody) -> gymnasium.spaces.Box:
+    """Return the space of observations (O,): see `observe`."""
+    n_hinges = body.action_size
+    size = n_hinges + len(_OBSERVED) + 3 + 6 + n_hinges
+    return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
 
 def observe(reading: Reading, features: np.ndarray) -> np.ndarray:
@@ -68,12 +79,7 @@ def observe(reading: Reading, features: np.ndarray) -> np.ndarray:
         reading: States.
         features: Their skeletal features, (E, F).
     """
-    parts = (
-        reading.qpos[:, 7:],
-        features[:, _OBSERVED],
-        reading.com_velocity,
-        reading.qvel,
-    )
+    parts = (reading.qpos[:, 7:], features.take(_OBSERVED, 1), reading.com_velocity, reading.qvel)
     return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
@@ -93,10 +99,11 @@ def rewards(
     """
     # tolerance() with a Gaussian that falls to 0.1 a margin below the bound
     below = np.maximum(standing_head_m - reading.head_m, 0.0) / (standing_head_m / 4)
-    standing = np.exp(_LOG_MARGIN_VALUE * below**2)
+    standing = np.exp(_LOG_MARGIN_VALUE * np.square(below))
     short = np.maximum(_UPRIGHT_FROM - reading.torso_axes[:, 2, 2], 0.0)
     upright = np.maximum(1.0 - short / _UPRIGHT_MARGIN, 0.0)
-    small_control = (4.0 + (1.0 - actions**2).sum(axis=1) / actions.shape[1]) / 5.0
-    speed = np.sqrt((reading.com_velocity[:, :2] ** 2).sum(axis=1))
+    saved = np.add.reduce(1.0 - np.square(actions), 1)
+    small_control = (4.0 + saved / actions.shape[1]) / 5.0
+    speed = np.sqrt(np.add.reduce(np.square(reading.com_velocity[:, :2]), 1))
     move = (5.0 * np.minimum(speed / speed_m_s, 1.0) + 1.0) / 6.0
     return small_control * standing * upright * move

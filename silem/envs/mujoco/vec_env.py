@@ -4,25 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem.bodies import Body, MujocoBody
-from silem.envs.base import MAX_STEPS, BatchedEnv
-from silem.envs.mujoco import task as walking
+from silem.bodies import Body
+from silem.envs.base import BatchedEnv
 from silem.envs.mujoco.camera import MujocoCamera
 from silem.envs.mujoco.simulator import Simulation, StartStates, body_of, start_state
-from silem.envs.mujoco.task import Reading
-from silem.motion.features import FEATURES, skeletal_features
+from silem.envs.mujoco.task import Reading, observation_space, observe, rewards
+from silem.motion.features import FEATURES
 from silem.util.errors import SilemError
-
-
-def spaces(body: MujocoBody) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-    """Return a body's observation space and action space."""
-    size = (walking.observation_size(body),)
-    observation = gymnasium.spaces.Box(-np.inf, np.inf, size, np.float32)
-    return observation, gymnasium.spaces.Box(-1.0, 1.0, (body.action_size,), np.float32)
 
 
 class MujocoVecEnv(BatchedEnv):
@@ -34,8 +25,7 @@ class MujocoVecEnv(BatchedEnv):
     that passed before a fall.
 
     Attributes:
-        body: The body.
-        simulation: The E states; None after `close`.
+        simulation: The E states.
         skeletal_features: g(s) of the states that the last step reached, (E, F); where an episode
             ended, the last state's.
     """
@@ -45,10 +35,10 @@ class MujocoVecEnv(BatchedEnv):
         body: Body | str,
         n_envs: int = 4,
         seed: int = 0,
-        max_steps: int = MAX_STEPS,
+        max_steps: int | None = None,
         *,
         n_threads: int = 1,
-        speed_m_s: float = walking.DEMONSTRATOR_SPEED_M_S,
+        speed_m_s: float | None = None,
         starts: StartStates | None = None,
         render_mode: str | None = "rgb_array",
     ) -> None:
@@ -58,23 +48,24 @@ class MujocoVecEnv(BatchedEnv):
             body: A body or its name.
             n_envs: E, at least 1.
             seed: Root of all environments' random streams.
-            max_steps: Steps after which an episode is cut off.
+            max_steps: Steps after which an episode is cut off; None means the body's.
             n_threads: Threads that step the simulations; results do not depend on it.
-            speed_m_s: Speed that earns the full reward.
+            speed_m_s: Speed that earns the full reward; None means the body's.
             starts: States that episodes start from; None means the standing pose, small noise.
             render_mode: "rgb_array" or None.
 
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self.body = body_of(body)
-        self.render_mode = render_mode
+        self._learner = body_of(body)
+        speed_m_s = self._learner.target_speed_m_s if speed_m_s is None else speed_m_s
         if n_threads < 1 or speed_m_s <= 0:
             raise SilemError(f"{n_threads} threads, {speed_m_s} m/s: both must be above 0")
         self._speed_m_s, self._starts = speed_m_s, starts
         self._has_episodes = False
-        super().__init__(n_envs, spaces(self.body), seed, max_steps)
-        self.simulation = Simulation(self.body, self.num_envs, min(n_threads, self.num_envs))
+        space = observation_space(self._learner)
+        super().__init__(self._learner, space, n_envs, seed, max_steps, render_mode)
+        self.simulation = Simulation(self._learner, self.num_envs, min(n_threads, self.num_envs))
         self._length = np.zeros(self.num_envs, dtype=int)
         self._return = np.zeros(self.num_envs)
         self._start_xy = np.zeros((self.num_envs, 2))
@@ -86,15 +77,13 @@ class MujocoVecEnv(BatchedEnv):
         Returns:
             (E, O) first observations, float32.
         """
-        if self._next_generators:
-            self._generators, self._next_generators = self._next_generators, []
-        for index in range(self.num_envs):
-            self._begin(index)
+        self._take_seed()
+        self._begin(np.arange(self.num_envs))
         self._actions, self._has_episodes = None, True
         reading = self.simulation.read()
-        self.skeletal_features = features_of(reading)
+        self.skeletal_features = reading.features()
         self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
-        return walking.observe(reading, self.skeletal_features)
+        return observe(reading, self.skeletal_features)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step every environment by one control step.
@@ -106,72 +95,51 @@ class MujocoVecEnv(BatchedEnv):
             SilemError: If the environments were not reset, or there is no action.
         """
         actions = self._take_actions().clip(-1.0, 1.0)
-        failed = np.array(self.simulation.advance(actions))
+        failed = self.simulation.advance(actions)
         reading = self.simulation.read()
-        rewards = walking.rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
-        rewards[failed] = 0.0
-        self.skeletal_features = features_of(reading)
-        observations = walking.observe(reading, self.skeletal_features)
+        earned = rewards(reading, actions, self._learner.standing_head_m, self._speed_m_s)
+        if np.count_nonzero(failed):
+            earned[failed] = 0.0
         self._length += 1
-        self._return += rewards
-        fallen = failed | (reading.head_m < self.body.fall_head_m)
+        self._return += earned
+        fallen = failed | (reading.head_m < self._learner.fall_head_m)
         dones = fallen | (self._length >= self.max_steps)
+        ended = dones.nonzero()[0]
+        lasts = [self._summary(reading, index) for index in ended.tolist()]
+        if lasts:  # ended states and their successors in one go: what counts are NumPy's calls
+            self._begin(ended)
+            reading = reading.joined(self.simulation.read(ended))
+        features = reading.features()
+        observations = observe(reading, features)
+        self.skeletal_features, begun = features[: self.num_envs], features[self.num_envs :]
         infos = [{"skeletal_features": row} for row in self.skeletal_features]
-        if dones.any():
-            self._end(reading, observations, fallen, dones, infos)
-        return observations, rewards.astype(np.float32), dones, infos
-
-    def _end(
-        self,
-        reading: Reading,
-        observations: np.ndarray,
-        fallen: np.ndarray,
-        dones: np.ndarray,
-        infos: list[dict[str, Any]],
-    ) -> None:
-        """Fill in the infos of episodes that ended, and start the next ones in their place."""
-        ended = np.flatnonzero(dones).tolist()
-        for index in ended:
-            seconds = self._length[index] * self.body.control_step_s
-            way = reading.qpos[index, :2] - self._start_xy[index]
-            infos[index] |= {
-                "terminal_observation": observations[index].copy(),
-                "TimeLimit.truncated": not fallen[index],
-                "episode": {
-                    "r": float(self._return[index]),
-                    "l": int(self._length[index]),
-                    "t": self._since_built_s(),
-                    "speed_m_s": float(np.hypot(*way) / seconds),
-                    "upright": float(self._length[index] / self.max_steps),
-                },
-            }
-            self._begin(index)
-        fresh = self.simulation.read(ended)
-        features = features_of(fresh)
-        observations[ended] = walking.observe(fresh, features)
-        for index, row in zip(ended, features, strict=True):
+        for index, last, row in zip(ended.tolist(), lasts, begun, strict=True):
+            infos[index] |= self._last_info(observations[index].copy(), bool(fallen[index]), last)
             self.reset_infos[index] = {"skeletal_features": row}
+        observations[ended] = observations[self.num_envs :]
+        return observations[: self.num_envs], earned.astype(np.float32), dones, infos
 
-    def _begin(self, index: int) -> None:
-        """Start an episode in one environment."""
-        qpos, qvel = start_state(self._generators[index], self.body, self._starts)
-        self.simulation.place(index, qpos, qvel)
-        self._length[index], self._return[index], self._start_xy[index] = 0, 0.0, qpos[:2]
+    def _summary(self, reading: Reading, index: int) -> dict[str, Any]:
+        """Sum up an environment's episode, which ends with its state in a reading."""
+        seconds = self._length[index] * self._learner.control_step_s
+        way = reading.qpos[index, :2] - self._start_xy[index]
+        return {
+            "r": float(self._return[index]),
+            "l": int(self._length[index]),
+            "speed_m_s": float(np.hypot(*way) / seconds),
+            "upright": float(self._length[index] / self.max_steps),
+        }
+
+    def _begin(self, indices: np.ndarray) -> None:
+        """Start an episode in some environments."""
+        states = [start_state(self._generators[i], self._learner, self._starts) for i in indices]
+        qpos, qvel = map(np.array, zip(*states, strict=True))
+        self.simulation.place(indices, qpos, qvel)
+        self._length[indices], self._return[indices] = 0, 0.0
+        self._start_xy[indices] = qpos[:, :2]
 
     def _is_reset(self) -> bool:
         return self._has_episodes
 
     def _make_camera(self) -> MujocoCamera:
         return MujocoCamera(self.simulation, *self.picture_size)
-
-    def close(self) -> None:
-        """End the threads and the renderer; closing twice is allowed."""
-        self.simulation.close()
-        if isinstance(self._camera, MujocoCamera):
-            self._camera.close()
-        self._camera = None
-
-
-def features_of(reading: Reading) -> np.ndarray:
-    """Return the skeletal features (E, F) of what a simulation holds."""
-    return skeletal_features(reading.points, reading.torso_axes, reading.com_velocity)

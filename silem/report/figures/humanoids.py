@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from silem import paper
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, style
 from silem.report.figures import cells, sources
 from silem.report.figures.sources import COMPARED

@@ -16,10 +16,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from silem.motion import demonstrations, demonstrator
-from silem.motion.clips import published_name
-from silem.motion.demonstrator import CLIPS, Motion
+from silem.motion.demonstrator import CLIPS, Motion, published_name
 from silem.motion.features import FEATURES, POINTS, Landmarks
-from silem.motion.targets import SIDES, standing_feet
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import standing_feet
 from silem.report import style
 from silem.util.errors import SilemError
 

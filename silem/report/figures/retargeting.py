@@ -12,8 +12,8 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from silem.motion.demonstrator import Motion
-from silem.motion.retarget import TOLERANCE_M, IKResult
-from silem.motion.targets import SIDES, TARGETS
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import TARGETS, TOLERANCE_M, IKResult
 from silem.report import style
 from silem.report.figures.motion import SIDE_COLORS, draw_pose
 from silem.report.retargeting import hand_targets, own_foot_skate

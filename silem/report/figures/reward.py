@@ -7,8 +7,9 @@ from matplotlib.figure import Figure
 
 from silem import bodies
 from silem.bodies import MujocoBody
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs.mujoco import task as walking
-from silem.envs.mujoco.task import DEMONSTRATOR_SPEED_M_S, Reading
+from silem.envs.mujoco.task import Reading
 from silem.motion.features import POINTS
 from silem.report import style
 

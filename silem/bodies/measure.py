@@ -1,40 +1,33 @@
-"""What a body is made of, as the simulator has it rather than as the model file says."""
+"""Bodies as their simulators have them: loaded into PyBullet, and measured in either."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pybullet
 
-from silem.bodies import bullet, registry
 from silem.bodies.body import Body, BulletBody
-from silem.bodies.shapes import shapes
+from silem.bodies.mjcf import shapes
+from silem.util.errors import SilemError
 
+BASE = -1  # PyBullet's number for the link at the root of a body's tree
+_FLAGS = (
+    pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+    | pybullet.URDF_GOOGLEY_UNDEFINED_COLORS
+)
 _ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
-def describe(name: str) -> dict[str, Any]:
-    """Return a body's lengths, masses, joints and actuators.
-
-    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
-    the masses are read from a loaded body; MuJoCo's from the compiled model.
-
-    Args:
-        name: Name of the body.
-
-    Returns:
-        `name`, `family`, `description`; `lengths_m`: each capsule's length between the centres
-        of its caps and each sphere's radius, by the name of its geom; `masses_kg` by link,
-        massless links left out; `total_mass_kg`; `joints`: lower and upper limit in rad of each
-        hinge, None where the model sets none; `root_joints`: those along which a planar root moves;
-        `actuators`: torque in N m at action 1, by joint.
-
-    Raises:
-        SilemError: If there is no such body.
-    """
-    body = registry.get(name)
+def describe(body: Body) -> dict[str, Any]:
+    """Return what `silem.bodies.describe` does."""
     measured = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(body)
     return {
         "name": body.name,
@@ -52,7 +45,7 @@ def describe(name: str) -> dict[str, Any]:
 def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        robot = bullet.load(body, client)
+        robot = load(body, client)
         return {
             "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
             "masses_kg": _masses(robot, client),
@@ -63,7 +56,7 @@ def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
 
 
 def _masses(robot: int, client: int) -> dict[str, float]:
-    links = bullet.link_names(robot, client).items()
+    links = link_names(robot, client).items()
     masses = {
         name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
         for name, link in links
@@ -73,7 +66,7 @@ def _masses(robot: int, client: int) -> dict[str, float]:
 
 def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float]]:
     actuated = {motor.joint for motor in body.motors}
-    infos = bullet.joint_infos(robot, client)
+    infos = joint_infos(robot, client)
     return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
 
 
@@ -95,3 +88,45 @@ def _in_mujoco(body: Body) -> dict[str, dict[str, Any]]:
     }
     masses = {link.name: float(link.mass[0]) for link in links if link.mass[0] > 0}
     return {"lengths_m": lengths, "masses_kg": masses, "joints": limits}
+
+
+def load(body: BulletBody, client: int) -> int:
+    """Load a body as PyBullet's locomotion tasks do, and return PyBullet's number of it.
+
+    Raises:
+        SilemError: If PyBullet rejects the model.
+    """
+    with _model_file(body) as path:
+        try:
+            (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)
+        except (pybullet.error, ValueError) as error:
+            raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
+    return int(robot)
+
+
+def joint_infos(robot: int, client: int) -> list[tuple[Any, ...]]:
+    """Return PyBullet's description of every joint, in order."""
+    count = pybullet.getNumJoints(robot, physicsClientId=client)
+    return [pybullet.getJointInfo(robot, index, physicsClientId=client) for index in range(count)]
+
+
+def link_names(robot: int, client: int) -> dict[str, int]:
+    """Return the number of every named link, the base included.
+
+    The base comes first: where a link proper has the same name, the link it is.
+    """
+    base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
+    links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
+    return {base: BASE} | links
+
+
+@contextlib.contextmanager
+def _model_file(body: BulletBody) -> Iterator[str]:
+    """Give the body's model as a file, the only form in which PyBullet loads it."""
+    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            file.write(body.model_xml())
+        yield path
+    finally:
+        Path(path).unlink(missing_ok=True)

@@ -1,0 +1,178 @@
+"""Sequences of poses (T, nq) of a model with a free root joint first, and the soles of its feet."""
+
+from __future__ import annotations
+
+import itertools
+
+import mink
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from silem.bodies.body import Skeleton
+from silem.motion.features import Landmarks
+from silem.util.errors import SilemError
+
+SIDES = ("left", "right")
+_GAIN = 0.9  # share of the gap that one step may close: the constraint is linearised
+
+
+def interpolate(qpos: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
+    """Return the poses at new times that lie within the old.
+
+    Args:
+        qpos: (T, nq) poses.
+        times: (T,) when, increasing.
+        new_times: (S,) when they are wanted.
+
+    Returns:
+        (S, nq): positions and hinges on straight lines between two poses, the root's orientation
+        on the great arc (slerp).
+    """
+    columns = [np.interp(new_times, times, column) for column in qpos.T]
+    resampled = np.stack(columns, axis=1)
+    resampled[:, 3:7] = quaternions(Slerp(times, rotations(qpos))(new_times))
+    return resampled
+
+
+def rotations(qpos: np.ndarray) -> Rotation:
+    """Return the root's orientations (T,)."""
+    return Rotation.from_quat(qpos[:, 3:7], scalar_first=True)
+
+
+def quaternions(orientations: Rotation) -> np.ndarray:
+    """Return quaternions (T, 4), real part first, none on the other side of the one before."""
+    result = orientations.as_quat(scalar_first=True)
+    turns = np.where((result[1:] * result[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    result[1:] *= np.cumprod(turns)[:, None]
+    return result
+
+
+def velocities(model: mujoco.MjModel, qpos: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Return velocities (T, nv) of poses (T, nq): central differences, one-sided at both ends."""
+    qvel = np.zeros((len(qpos), model.nv))
+    last = len(qpos) - 1
+    for state, row in enumerate(qvel):
+        before, after = max(state - 1, 0), min(state + 1, last)
+        duration_s = (after - before) / rate_hz
+        mujoco.mj_differentiatePos(model, row, duration_s, qpos[before], qpos[after])
+    return qvel
+
+
+def observe(
+    model: mujoco.MjModel, skeleton: Skeleton, qpos: np.ndarray, qvel: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what features are computed from, `silem.motion.features.skeletal_features`.
+
+    Args:
+        model: The model.
+        skeleton: Its landmarks.
+        qpos: (T, nq) positions.
+        qvel: (T, nv) velocities.
+
+    Returns:
+        Landmarks (T, P, 3) in m; forward, left and up of the torso as rows, (T, 3, 3); velocity
+        of the whole body's centre of mass in m/s, (T, 3).
+    """
+    data, landmarks, seen = mujoco.MjData(model), Landmarks(model, skeleton), []
+    for data.qpos[:], data.qvel[:] in zip(qpos, qvel, strict=True):
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        velocity = data.subtree_linvel[landmarks.root].copy()
+        seen.append((landmarks.points(data), landmarks.torso_axes(data), velocity))
+    points, torso_axes, com_velocity = (np.array(column) for column in zip(*seen, strict=True))
+    return points, torso_axes, com_velocity
+
+
+class Soles:
+    """The points of the feet that can touch the floor first: capsule ends and box corners.
+
+    Attributes:
+        bodies: (K,) number of the MuJoCo body that carries each point.
+        offsets: (K, 3) the point in that body's frame, in m.
+        radii: (K,) radius around it, in m.
+        foot: (K,) which of the feet it belongs to, in the order of `SIDES`.
+
+    Raises:
+        SilemError: A foot has no shape that collides, or one that is no sphere, capsule or box.
+    """
+
+    def __init__(self, model: mujoco.MjModel, skeleton: Skeleton) -> None:
+        self._model, rows = model, []
+        for number, side in enumerate(SIDES):
+            foot = getattr(skeleton, f"{side}_foot")
+            geoms = _colliding_geoms(model, model.body(foot).id)
+            if not geoms:
+                raise SilemError(f"foot {foot!r} has no shape that could touch the floor")
+            for geom in geoms:
+                points, radius = _extremes(model, geom)
+                rows += [(model.geom_bodyid[geom], point, radius, number) for point in points]
+        columns = (np.array(column) for column in zip(*rows, strict=True))
+        self.bodies, self.offsets, self.radii, self.foot = columns
+
+    def centers(self, data: mujoco.MjData) -> np.ndarray:
+        """Return the points in the world, (K, 3)."""
+        frames = data.xmat[self.bodies].reshape(-1, 3, 3)
+        return data.xpos[self.bodies] + (frames @ self.offsets[..., None])[..., 0]
+
+    def heights(self, data: mujoco.MjData) -> np.ndarray:
+        """Return how far the shape around each point is above the floor z = 0, in m, (K,)."""
+        return self.centers(data)[:, 2] - self.radii
+
+    def lowest(self, qpos: np.ndarray) -> np.ndarray:
+        """Return the height of each foot's lowest point in m, (T, 2), in poses (T, nq)."""
+        data, lowest = mujoco.MjData(self._model), np.empty((len(qpos), len(SIDES)))
+        for data.qpos[:], row in zip(qpos, lowest, strict=True):
+            mujoco.mj_kinematics(self._model, data)
+            heights = self.heights(data)
+            row[:] = [heights[self.foot == foot].min() for foot in range(len(SIDES))]
+        return lowest
+
+
+class FloorLimit(mink.Limit):
+    """Inverse kinematics' constraint that no point of the soles goes below the floor z = 0."""
+
+    def __init__(self, model: mujoco.MjModel, soles: Soles) -> None:
+        self._model, self._soles = model, soles
+
+    def compute_qp_inequalities(
+        self, configuration: mink.Configuration, dt: float
+    ) -> mink.Constraint:
+        """Return G and h: a step dq with G dq <= h lowers no point by more than its height."""
+        del dt  # a limit on the step, not on a velocity
+        data, soles = configuration.data, self._soles
+        rows = np.empty((len(soles.bodies), self._model.nv))
+        jacobian = np.empty((3, self._model.nv))
+        for row, point, body in zip(rows, soles.centers(data), soles.bodies, strict=True):
+            mujoco.mj_jac(self._model, data, jacobian, None, point, body)
+            row[:] = -jacobian[2]
+        return mink.Constraint(G=rows, h=_GAIN * soles.heights(data))
+
+
+def _colliding_geoms(model: mujoco.MjModel, foot: int) -> list[int]:
+    """Return the shapes of a body and of what hangs on it, those only for show left out."""
+    family = {foot}
+    for body in range(foot + 1, model.nbody):  # MuJoCo numbers parents before children
+        if model.body_parentid[body] in family:
+            family.add(body)
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return [int(geom) for geom in np.flatnonzero(collides) if model.geom_bodyid[geom] in family]
+
+
+def _extremes(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float]:
+    """Return the extreme points of a shape in its body's frame, (n, 3), and a radius, in m."""
+    size = model.geom_size[geom]
+    kind = mujoco.mjtGeom(model.geom_type[geom])
+    radius = 0.0 if kind == mujoco.mjtGeom.mjGEOM_BOX else float(size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        points = np.zeros((1, 3))
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        points = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        points = np.array(list(itertools.product((-1, 1), repeat=3))) * size
+    else:
+        name, shape = model.geom(geom).name, kind.name.removeprefix("mjGEOM_").lower()
+        raise SilemError(f"shape {name!r} of a foot is a {shape}; allowed: sphere, capsule, box")
+    frame = np.empty(9)
+    mujoco.mju_quat2Mat(frame, model.geom_quat[geom])
+    return model.geom_pos[geom] + points @ frame.reshape(3, 3).T, radius

@@ -1,0 +1,523 @@
+"""Retargeting for the baseline Peng20: a demonstrator's motion on a learner's body.
+
+Peng et al. 2020, "Learning Agile Robotic Locomotion Skills by Imitating Animals", match key points
+after scaling them to the learner. Here (page "The method", equations of Peng20):
+
+* Hips and feet: one similarity transform of the demonstrator's world, by the ratio of the leg
+  lengths. So the foot relative to the hip, the root's height and the root's forward motion are
+  all scaled alike. Keeping the forward motion instead would drag every planted foot over the
+  floor at (1 - ratio) times the walking speed. What widens or narrows the hips shifts each foot
+  sideways by a constant.
+* Torso: the vector from the middle of the hips, by the ratio of the spines; the orientation as
+  it is.
+* Hands: the vector from the shoulder, by the ratio of that arm's lengths.
+
+Inverse kinematics poses the learner, frame by frame, each starting from the pose before: so the
+motion is continuous. What could not be reached is reported for every frame, not hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mink
+import mujoco
+import numpy as np
+from tqdm import tqdm
+
+from silem import bodies, paper
+from silem.bodies import atlas
+from silem.bodies.body import MujocoBody
+from silem.motion import demonstrations as demos
+from silem.motion import kinematics, retargeted
+from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrator import Motion, published_motion, published_name
+from silem.motion.features import POINTS, skeletal_features
+from silem.motion.kinematics import SIDES, FloorLimit, Soles
+from silem.util.errors import SilemError
+
+BODIES = ("Humanoid", "HumanoidR", "Atlas")
+
+TARGETS = ("torso", "left_hand", "right_hand", "left_foot", "right_foot")
+"""The targets of the inverse kinematics, each a landmark."""
+
+STANCE_SPEED_M_S = 0.3
+"""A demonstrator's foot slower than this, horizontally, stands. (In 08_01 a standing foot moves
+at up to 0.2 m/s, a swinging one at up to 4.7 m/s.)"""
+
+TOLERANCE_M = 0.03
+"""A frame whose targets are all reached to within this counts as converged."""
+
+LIMIT_TOLERANCE_RAD = 1e-3
+"""A joint closer to a limit than this is at it."""
+
+RETARGETING_VERSION = 1
+"""How a motion becomes a learner's: to be raised, and all published anew, when numbers change."""
+
+_SOLVER = "daqp"
+_COSTS = {  # of position (per m) and orientation (per rad): what is out of reach, the hands lose
+    "torso": (5.0, 5.0),
+    "left_hand": (1.0, 0.0),
+    "right_hand": (1.0, 0.0),
+    "left_foot": (10.0, 0.0),
+    "right_foot": (10.0, 0.0),
+}
+_STANDING_COST = 0.004  # towards the standing pose, in what the targets leave open
+_PREVIOUS_COST = 0.025  # towards the frame before
+_BELOW_FLOOR_COST = 100.0  # counts in whether a step is accepted
+_MAX_STEPS = 200
+_CONVERGED = 1e-6  # relative decrease of the cost
+_DAMPING = (1e-6, 1e4)  # lowest and highest
+_LESS, _MORE = 0.25, 8.0  # factors on the damping after a step that did and did not help
+
+_HORIZONTAL, _UP = np.array([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+_COPIED = ("source", "source_sha256", "licence", "acknowledgement")  # from the clip's entry
+
+
+def learner(name: str) -> MujocoBody:
+    """Return a humanoid as Peng20 has it: Atlas with the ankles of its best combination."""
+    if name == "Atlas":
+        return atlas.body(paper.best_combination(name, "peng20")["ankle_range_rad"])
+    return bodies.of_kind(name, MujocoBody)
+
+
+class Limbs(NamedTuple):
+    """Lengths between a skeleton's landmarks in m, or ratios of two skeletons' lengths.
+
+    Attributes:
+        leg: Hip to knee to foot, mean of both sides.
+        left_arm: Shoulder to elbow to hand.
+        right_arm: Shoulder to elbow to hand.
+        spine: Middle of the hips to torso.
+        hips: Left hip to right hip.
+    """
+
+    leg: float
+    left_arm: float
+    right_arm: float
+    spine: float
+    hips: float
+
+    @classmethod
+    def of(cls, points: np.ndarray) -> Limbs:
+        """Measure the landmarks of one or more poses, (..., P, 3).
+
+        Of several poses the 95 % quantile counts: where a landmark lies beside its joint's axis
+        a bent limb looks shorter than it is, and a single broken frame should not matter.
+        """
+
+        def length(chain: list[np.ndarray]) -> float:
+            parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1)
+            return float(np.quantile(parts.sum(axis=0), 0.95))
+
+        left_leg, right_leg = (
+            length([_at(points, f"{side}_{joint}") for joint in ("hip", "knee", "foot")])
+            for side in SIDES
+        )
+        left_arm, right_arm = (
+            length([_at(points, f"{side}_{joint}") for joint in ("shoulder", "elbow", "hand")])
+            for side in SIDES
+        )
+        spine = length([_mid_hip(points), _at(points, "torso")])
+        hips = length([_at(points, f"{side}_hip") for side in SIDES])
+        return cls((left_leg + right_leg) / 2, left_arm, right_arm, spine, hips)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What the inverse kinematics has to reach.
+
+    Attributes:
+        positions: (T, 5, 3) in the world in m, in the order of `TARGETS`; floor at z = 0, the
+            walk starts above the origin.
+        stance: (T, 2) whether the demonstrator's left and right foot stands.
+        ratios: The learner's limbs over the demonstrator's.
+        raised_m: (T, 2) by how much a foot's target was raised, because the scaled motion would
+            have put it lower than it is on the standing learner.
+    """
+
+    positions: np.ndarray
+    stance: np.ndarray
+    ratios: Limbs
+    raised_m: np.ndarray
+
+
+def targets(motion: Motion, body: MujocoBody) -> Targets:
+    """Scale a demonstrator's motion, T frames, to a learner.
+
+    Raises:
+        SilemError: The motion holds NaN or infinity.
+    """
+    for name, array in (("points", motion.points), ("torso_axes", motion.torso_axes)):
+        broken = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+        if broken.any():
+            frame = int(np.argmax(broken))
+            raise SilemError(f"motion {motion.name}: {name} of frame {frame} hold NaN or infinity")
+    model = _compiled(body)
+    standing = np.array([body.standing_pose]), np.zeros((1, model.nv))
+    (points,), (torso_axes,), _ = kinematics.observe(model, body.skeleton, *standing)
+    demonstrator, own = Limbs.of(motion.points), Limbs.of(points)
+    ratios = Limbs(*np.divide(own, demonstrator).tolist())
+    stance, feet = standing_feet(motion), _feet(motion.points)
+    foot_height = float(_feet(points)[:, 2].mean())
+    # Where the landmark of a foot is when that foot stands: the median. Targets below it are
+    # raised to it, for in the clips a foot that stands sinks and rises by 1 cm or 2, and on the
+    # learner it should be on the floor, not above it.
+    ground = [
+        float(np.median(heights[stands]) if stands.any() else heights.min())
+        for heights, stands in zip(feet[..., 2].T, stance.T, strict=True)
+    ]
+    start = _mid_hip(motion.points)[0] * _HORIZONTAL
+
+    def moved(world: np.ndarray, ground_m: float) -> np.ndarray:
+        return ratios.leg * (world - start - ground_m * _UP) + foot_height * _UP
+
+    spine = _at(motion.points, "torso") - _mid_hip(motion.points)
+    torso = moved(_mid_hip(motion.points), sum(ground) / 2) + ratios.spine * spine
+    hands = [
+        torso
+        + torso_axes @ (_at(points, f"{side}_shoulder") - points[0]) @ motion.torso_axes
+        + ratio * (_at(motion.points, f"{side}_hand") - _at(motion.points, f"{side}_shoulder"))
+        for side, ratio in zip(SIDES, (ratios.left_arm, ratios.right_arm), strict=True)
+    ]
+    left = motion.torso_axes[:, 1].mean(axis=0) * _HORIZONTAL
+    wider = (own.hips - ratios.leg * demonstrator.hips) / 2 * (left / np.linalg.norm(left))
+    moved_feet = [
+        moved(feet[:, side], ground[side]) + sign * wider for side, sign in enumerate((1, -1))
+    ]
+    positions = np.stack([torso, *hands, *moved_feet], axis=1)
+    raised = np.maximum(foot_height - positions[:, 3:, 2], 0)
+    positions[:, 3:, 2] += raised
+    return Targets(positions, stance, ratios, raised)
+
+
+def standing_feet(motion: Motion) -> np.ndarray:
+    """Return whether the demonstrator's left and right foot stands in each frame, (T, 2)."""
+    return foot_speeds_m_s(motion.points, motion.rate_hz) < STANCE_SPEED_M_S
+
+
+def foot_speeds_m_s(points: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Return how fast the left and right foot of landmarks (T, P, 3) move horizontally, (T, 2)."""
+    velocity = np.gradient(_feet(points)[..., :2], 1 / rate_hz, axis=0)
+    return np.linalg.norm(velocity, axis=-1)
+
+
+def _at(points: np.ndarray, name: str) -> np.ndarray:
+    return points[..., POINTS.index(name), :]
+
+
+def _feet(points: np.ndarray) -> np.ndarray:
+    return np.stack([_at(points, f"{side}_foot") for side in SIDES], axis=-2)
+
+
+def _mid_hip(points: np.ndarray) -> np.ndarray:
+    return (_at(points, "left_hip") + _at(points, "right_hip")) / 2
+
+
+def _compiled(body: MujocoBody) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(body.model_xml())
+
+
+class PoseSolver:
+    """Finds a body's pose for one frame after the other, each starting from the one before.
+
+    mink states one step as a quadratic program, with joint limits and the floor as hard
+    constraints; here its steps are repeated, with damping by Levenberg and Marquardt's rule, until
+    the pose is at a minimum. Self-collision is not looked at.
+    """
+
+    def __init__(self, model: mujoco.MjModel, body: MujocoBody) -> None:
+        skeleton, standing = body.skeleton, np.array(body.standing_pose)
+        self._configuration = mink.Configuration(model, standing)
+        self._soles = Soles(model, skeleton)
+        self._torso_columns = ["xyz".index(axis) for axis in skeleton.axes]
+        self._frames = [
+            mink.FrameTask(getattr(skeleton, name), "body", *_COSTS[name]) for name in TARGETS
+        ]
+        self._previous = mink.PostureTask(model, _PREVIOUS_COST)
+        posture = mink.PostureTask(model, _STANDING_COST)
+        posture.set_target(standing)
+        self._tasks = [*self._frames, self._previous, posture]
+        self._limits = [mink.ConfigurationLimit(model), FloorLimit(model, self._soles)]
+
+    def solve(self, positions: np.ndarray, torso_axes: np.ndarray) -> np.ndarray:
+        """Return the pose (nq,) for one frame's targets (5, 3) and torso axes (3, 3)."""
+        matrix = np.empty((3, 3))
+        matrix[:, self._torso_columns] = torso_axes.T
+        rotation = mink.SO3.from_matrix(matrix)  # has no cost except at the torso
+        for task, position in zip(self._frames, positions, strict=True):
+            task.set_target(mink.SE3.from_rotation_and_translation(rotation, position))
+        configuration = self._configuration
+        self._previous.set_target(configuration.q)
+        # Full steps would overshoot again and again at a leg that is nearly straight and at a
+        # target just out of reach: a step that does not help is taken back, a shorter one tried.
+        cost = self._cost()
+        lowest, highest = damping, _ = _DAMPING
+        for _ in range(_MAX_STEPS):
+            before = configuration.q
+            step = mink.solve_ik(
+                configuration, self._tasks, 1.0, _SOLVER, damping=damping, limits=self._limits
+            )
+            configuration.integrate_inplace(step, 1.0)
+            decrease = cost - self._cost()
+            if decrease > 0:
+                cost -= decrease
+                damping = max(damping * _LESS, lowest)
+                if decrease < _CONVERGED * cost:
+                    break
+            else:
+                configuration.update(before)
+                damping *= _MORE
+                if damping > highest:
+                    break
+        return configuration.q.copy()
+
+    def _cost(self) -> float:
+        """Return the sum of the squared errors of all tasks and of the depth below the floor."""
+        configuration = self._configuration
+        errors = [task.cost * task.compute_error(configuration) for task in self._tasks]
+        depths = np.minimum(self._soles.heights(configuration.data), 0.0)
+        errors.append(_BELOW_FLOOR_COST * depths)
+        return float(sum(error @ error for error in errors))
+
+
+@dataclass(frozen=True)
+class IKResult:
+    """A motion retargeted to a body, with what could not be reached.
+
+    Attributes:
+        body: Name of the learner's body.
+        motion: Name of the demonstrator's motion.
+        rate_hz: Frames per second.
+        joint_names: Names of the hinges, J.
+        ratios: The learner's limb lengths over the demonstrator's.
+        features: (T, F) skeletal features by the learner's own g.
+        qpos: (T, nq) positions; the walk starts above the world's origin, the floor is z = 0.
+        qvel: (T, nv) velocities, central differences.
+        points: (T, P, 3) landmarks in the world, in m.
+        residuals: (T, 5) distance of each landmark from its target in m, in the order of
+            `TARGETS`.
+        torso_tilt_rad: (T,) angle between the torso's orientation and its target.
+        converged: (T,) whether every residual is within the tolerance.
+        at_limit: (T, J) whether a hinge is at a limit.
+        foot_skate_m_s: (T, 2) horizontal speed of the left and right foot while the
+            demonstrator's stands; NaN while it swings.
+        raised_m: (T, 2) by how much a foot's target was raised to keep the sole off the floor.
+        sole_height_m: (T, 2) height of each foot's lowest point.
+    """
+
+    body: str
+    motion: str
+    rate_hz: float
+    joint_names: tuple[str, ...]
+    ratios: Limbs
+    features: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    points: np.ndarray
+    residuals: np.ndarray
+    torso_tilt_rad: np.ndarray
+    converged: np.ndarray
+    at_limit: np.ndarray
+    foot_skate_m_s: np.ndarray
+    raised_m: np.ndarray
+    sole_height_m: np.ndarray
+
+
+_PUBLISHED = [field.name for field in fields(IKResult)][6:]
+
+
+def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -> IKResult:
+    """Pose a body so that its hands, feet and torso follow a demonstrator's, frame by frame.
+
+    Args:
+        motion: The demonstrator's motion, T frames.
+        body: The learner's body.
+        progress: Show a progress bar.
+
+    Raises:
+        SilemError: The motion holds NaN or infinity, or no frame converges.
+    """
+    model, wanted = _compiled(body), targets(motion, body)
+    solver = PoseSolver(model, body)
+    frames = list(zip(wanted.positions, motion.torso_axes, strict=True))
+    # From the standing pose the first frames would end in a minimum with a twisted waist; going
+    # through the clip backwards first gives them a start from within the walk.
+    title = f"{motion.name} on {body.name}"
+    both_ways = tqdm([*reversed(frames), *frames], title, disable=not progress)
+    qpos = np.array([solver.solve(*frame) for frame in both_ways][len(frames) :])
+    qvel = kinematics.velocities(model, qpos, motion.rate_hz)
+    seen = points, torso_axes, _ = kinematics.observe(model, body.skeleton, qpos, qvel)
+    reached = points[:, [POINTS.index(name) for name in TARGETS]]
+    residuals = np.linalg.norm(reached - wanted.positions, axis=-1)
+    converged = (residuals <= TOLERANCE_M).all(axis=1)
+    if not converged.any():
+        worst = int(np.argmax(residuals[0]))
+        raise SilemError(
+            f"{body.name} cannot follow {motion.name} in any frame: in frame 0 its "
+            f"{TARGETS[worst]} stays {1000 * residuals[0, worst]:.0f} mm from its target, "
+            f"allowed: {1000 * TOLERANCE_M:g} mm"
+        )
+    cosine = (np.einsum("tij,tij->t", torso_axes, motion.torso_axes) - 1) / 2
+    hinges = np.flatnonzero(model.jnt_limited)
+    lower, upper = model.jnt_range[hinges].T + np.array([[1], [-1]]) * LIMIT_TOLERANCE_RAD
+    angles = qpos[:, model.jnt_qposadr[hinges]]
+    return IKResult(
+        body=body.name,
+        motion=motion.name,
+        rate_hz=motion.rate_hz,
+        joint_names=tuple(model.joint(int(hinge)).name for hinge in hinges),
+        ratios=wanted.ratios,
+        features=skeletal_features(*seen),
+        qpos=qpos,
+        qvel=qvel,
+        points=points,
+        residuals=residuals,
+        torso_tilt_rad=np.arccos(np.clip(cosine, -1.0, 1.0)),
+        converged=converged,
+        at_limit=(angles < lower) | (angles > upper),
+        foot_skate_m_s=np.where(wanted.stance, foot_speeds_m_s(points, motion.rate_hz), np.nan),
+        raised_m=wanted.raised_m,
+        sole_height_m=Soles(model, body.skeleton).lowest(qpos),
+    )
+
+
+def summary(result: IKResult) -> dict[str, Any]:
+    """Return the figures of a retargeting that the pages and the manifest show.
+
+    Returns:
+        Residuals in mm (mean and worst per target), the share of frames that converged, the
+        torso's largest tilt in degrees, foot skate in m/s (mean and worst per foot, None for one
+        that never stands), the mean speed in m/s, and per joint the share of frames in which it is
+        at a limit, if any.
+    """
+    residuals_mm = dict(zip(TARGETS, 1000 * result.residuals.T, strict=True))
+    skates = dict(zip(SIDES, result.foot_skate_m_s.T, strict=True))
+    shares = dict(zip(result.joint_names, result.at_limit.mean(axis=0), strict=True))
+    way_m = np.linalg.norm(result.points[-1, 0, :2] - result.points[0, 0, :2])
+    return {
+        "residual_mean_mm": {name: _rounded(mm.mean()) for name, mm in residuals_mm.items()},
+        "residual_worst_mm": {name: _rounded(mm.max()) for name, mm in residuals_mm.items()},
+        "converged_share": _rounded(result.converged.mean()),
+        "torso_tilt_worst_deg": _rounded(np.degrees(result.torso_tilt_rad.max())),
+        "foot_skate_mean_m_s": {side: _standing(np.mean, v) for side, v in skates.items()},
+        "foot_skate_worst_m_s": {side: _standing(np.max, v) for side, v in skates.items()},
+        "speed_m_s": _rounded(way_m * result.rate_hz / (len(result.points) - 1)),
+        "at_limit_share": {name: _rounded(share) for name, share in shares.items() if share > 0},
+    }
+
+
+def _standing(of: Callable[[np.ndarray], Any], speeds: np.ndarray) -> float | None:
+    standing = speeds[~np.isnan(speeds)]
+    return _rounded(of(standing)) if standing.size else None
+
+
+def _rounded(value: float | np.floating[Any]) -> float:
+    return round(float(value), 3)
+
+
+def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
+    """Retarget a published clip to the three humanoids, and publish the result.
+
+    Args:
+        clip: One of `silem.motion.demonstrator.CLIPS`, or an own one.
+        progress: Show progress bars.
+
+    Returns:
+        The files, one per body; the same clip always gives the same bytes.
+
+    Raises:
+        SilemError: The clip was not published, or as `retarget_clip`, or another process is
+            publishing.
+    """
+    motion, source = published_motion(clip), published_name(clip)
+    written = []
+    with demos.publishing():
+        entry = demos.entry(source)
+        for body in BODIES:
+            result = retarget_clip(motion, learner(body), progress=progress)
+            extra = {array: getattr(result, array) for array in _PUBLISHED}
+            demonstrations = Demonstrations((result.features,), body=body, extra=extra)
+            about = {
+                "clip": clip,
+                "retargeted_from": source,
+                "retargeted_from_sha256": entry["sha256"],
+                **{key: entry[key] for key in _COPIED},
+                "rate_hz": result.rate_hz,
+                "n_states": len(result.features),
+                "solver": f"mink {version('mink')}, {_SOLVER} {version(_SOLVER)}",
+                "tolerance_m": TOLERANCE_M,
+                "limb_ratios": result.ratios._asdict(),
+                "joint_names": list(result.joint_names),
+                "summary": summary(result),
+                "retargeting_version": RETARGETING_VERSION,
+            }
+            written.append(demos.publish(retargeted(source, body), demonstrations, about))
+    return written
+
+
+def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
+    """Return the retargeting that was published for a body.
+
+    Raises:
+        SilemError: It was not published, or its file is damaged.
+    """
+    name = retargeted(published_name(clip), body)
+    about, there = demos.entry(name), Demonstrations.load(name)
+    return IKResult(
+        body=body,
+        motion=clip,
+        rate_hz=about["rate_hz"],
+        features=there.features[0],
+        joint_names=tuple(about["joint_names"]),
+        ratios=Limbs(**about["limb_ratios"]),
+        **there.extra,
+    )
+
+
+def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states of retargeted demonstrations as states of a learner's body, to start from.
+
+    Peng20 retargets to an Atlas whose ankles turn further than those of the Atlas that other
+    methods train. A hinge beyond its range is put to the limit, at rest, and the body is lifted
+    until both soles are above the floor; states that fit are returned as they are.
+
+    Args:
+        name: Name of the demonstrations, for example "cmu_08_01_on_Humanoid".
+        body: The learner's body.
+
+    Returns:
+        Positions (S, nq) and velocities (S, nv).
+
+    Raises:
+        SilemError: There are no demonstrations of this name, they hold no states, or states of
+            another body or with NaN or infinity.
+    """
+    extra = Demonstrations.load(name).extra
+    missing = [array for array in ("qpos", "qvel") if array not in extra]
+    if missing:
+        raise SilemError(f"demonstrations {name!r} hold no states: they lack {', '.join(missing)}")
+    qpos, qvel, model = extra["qpos"].copy(), extra["qvel"].copy(), _compiled(body)
+    if qpos.shape[1:] != (model.nq,) or qvel.shape[1:] != (model.nv,):
+        raise SilemError(
+            f"demonstrations {name!r} hold states of shape {qpos.shape[1:]} and {qvel.shape[1:]};"
+            f" {body.name} needs ({model.nq},) and ({model.nv},)"
+        )
+    finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+    if not finite.all():
+        frame = int(np.argmin(finite))
+        raise SilemError(f"demonstrations {name!r}: state {frame} holds NaN or infinity")
+    hinges = np.flatnonzero(model.jnt_limited)
+    places, rates = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
+    allowed = np.clip(qpos[:, places], *model.jnt_range[hinges].T)
+    beyond = np.abs(qpos[:, places] - allowed) > LIMIT_TOLERANCE_RAD
+    qpos[:, places] = np.where(beyond, allowed, qpos[:, places])
+    qvel[:, rates] = np.where(beyond, 0.0, qvel[:, rates])
+    changed = beyond.any(axis=1)
+    lowest = Soles(model, body.skeleton).lowest(qpos[changed]).min(axis=1)
+    qpos[changed, 2] += np.maximum(0.0, -lowest)
+    return qpos, qvel

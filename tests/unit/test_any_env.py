@@ -1,0 +1,49 @@
+"""Any Gymnasium environment goes through the same runs and records as the paper's bodies."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from silem import bodies
+from silem.motion.demonstrations import Demonstrations, file_of
+from silem.study.config import RunConfig
+from silem.study.runs import run
+from silem.util.errors import SilemError
+
+SMALL = {"minibatch_size": 32, "n_epochs": 1}
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    rng = np.random.default_rng(0)
+    episodes = [rng.normal(size=(201, 3)).astype(np.float32) for _ in range(20)]
+    Demonstrations.from_arrays(episodes).save(file_of("swing"))
+    return tmp_path
+
+
+def test_an_imitator_on_pendulum_is_recorded_and_found_again(data: Path) -> None:
+    config = RunConfig.create("Pendulum-v1", "silem", "swing", **SMALL)
+    record = run(config, progress=False)
+    assert len(record.evaluation["returns"]) == 2
+    assert record.evaluation["speed_m_s"] is None
+    assert run(config, progress=False) == record
+    assert RunConfig.from_dict(record.config) == config
+    again = run(RunConfig.create("Pendulum-v1", "silem", "swing", **SMALL), False, force=True)
+    assert again.evaluation["returns"] == record.evaluation["returns"]  # bit for bit
+    assert again.files == record.files
+
+
+def test_random_actions_fit_the_environment(data: Path) -> None:
+    assert bodies.get("Pendulum-v1").action_size == 1
+    assert run(RunConfig.create("Pendulum-v1", "random"), progress=False).evaluation["returns"]
+
+
+def test_what_cannot_be_imitated_is_refused(data: Path) -> None:
+    with pytest.raises(SilemError, match="Pendulum-v1 needs demonstrations"):
+        RunConfig.create("Pendulum-v1", "silem")
+    with pytest.raises(SilemError, match="no Gymnasium environment 'Nothing-v7'"):
+        RunConfig.create("Nothing-v7", "ppo")
+    with pytest.raises(SilemError, match="features per state"):
+        run(RunConfig.create("MountainCarContinuous-v0", "silem", "swing", **SMALL), False)
