@@ -1,4 +1,4 @@
-"""The paper's claims, each with the rule that decides it. All rules were fixed before the runs.
+"""The paper's claims, each with the rule that decides it, fixed before its cells were complete.
 
 A claim measures one or two quantities, each a mean over trials against bounds. Its interval is a
 95 % t interval (Student's for one cell, Welch's for two). A quantity passes where the whole

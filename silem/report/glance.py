@@ -36,7 +36,7 @@ def box(root: str = "") -> str:
     for (study, name), frame in zip(STUDIES.items(), frames, strict=True):
         judged[f"{name}: {len(claims.of(study))} claims"] = scorecard.evaluate(frame)
     frames += [other for f in frames if (other := results.paper_loss(f)) is not None]
-    where = f"[by a rule that was fixed before the runs]({root}notebooks/07_scorecard.ipynb)"
+    where = f"[by a rule fixed before its runs were complete]({root}notebooks/07_scorecard.ipynb)"
     return "\n".join(
         [
             "## At a glance", "",

@@ -52,7 +52,7 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
         handles.append(Line2D([], [], label="mean of the body's experts", **mean))
         handles.append(Line2D([], [], label="the best of them, the demonstrator", **_BEST))
         figure.legend(handles=handles, loc="outside upper left", ncols=3)
-        sources.footer(figure, frame, cells.interval_note(frame, methods, "normalised"))
+        sources.footer(figure, frame, cells.interval_note(frame, [*methods, "ppo"], "speed_m_s"))
     return figure
 
 
