@@ -10,7 +10,7 @@ from typing import Any
 
 from silem import bodies
 from silem.arguments import add_campaign, add_quiet, add_run, add_status, budget_of, config_of
-from silem.study import campaign, runs, studies
+from silem.study import campaign, runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
 from silem.study.evaluate import evaluate
@@ -84,6 +84,16 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--seed", type=int, default=0)
     command.set_defaults(command=_render)
 
+    command = commands.add_parser("verify", help="check records, and evaluate policies anew")
+    command.add_argument("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
+    command.add_argument(
+        "--episodes",
+        type=int,
+        default=verify.N_EPISODES,
+        help="of each policy (default: %(default)s)",
+    )
+    command.set_defaults(command=_verify)
+
     command = commands.add_parser("bodies", help="list the bodies")
     command.set_defaults(command=_bodies)
     command = commands.add_parser(
@@ -141,6 +151,16 @@ def _evaluate(options: argparse.Namespace) -> None:
     task = task_options(config)
     result = evaluate(load_policy(record), config.learner, options.episodes, progress=True, **task)
     _print_evaluation(record.run_id, result.to_dict())
+
+
+def _verify(options: argparse.Namespace) -> None:
+    verdicts = []
+    for verdict in verify.verify_all(options.name, options.episodes):
+        print(verdict, flush=True)
+        verdicts.append(verdict)
+    refuted = [verdict.name for verdict in verdicts if verdict.outcome == verify.NOT]
+    if refuted:
+        raise SilemError(f"{len(refuted)} of {len(verdicts)} are not what they say")
 
 
 def _demonstrations(options: argparse.Namespace) -> None:

@@ -15,7 +15,7 @@ import pybullet
 
 from silem.bodies.body import Body, BulletBody
 from silem.bodies.mjcf import shapes
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, reason
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
 _FLAGS = (
@@ -123,10 +123,15 @@ def link_names(robot: int, client: int) -> dict[str, int]:
 @contextlib.contextmanager
 def _model_file(body: BulletBody) -> Iterator[str]:
     """Give the body's model as a file, the only form in which PyBullet loads it."""
-    handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+    path = None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(body.model_xml())
+        try:
+            handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+                file.write(body.model_xml())
+        except OSError as error:
+            raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
         yield path
     finally:
-        Path(path).unlink(missing_ok=True)
+        if path is not None:
+            Path(path).unlink(missing_ok=True)

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from silem import bodies
 from silem.util import files, paths
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose, reason
 
 MANIFEST = "manifest.json"
 _WAIT_S = 600.0
@@ -40,10 +41,12 @@ class Demonstrations:
     def __post_init__(self) -> None:
         if not self.features:
             raise SilemError("demonstrations are empty; at least one trajectory is needed")
-        widths = {array.shape[1:] for array in self.features}
-        if len(widths) != 1 or len(next(iter(widths))) != 1:
-            raise SilemError(f"trajectories must all be (T + 1, F) with one F, got {widths}")
+        shapes = {np.shape(array)[1:] for array in self.features}
+        if len(shapes) != 1 or len(shape := next(iter(shapes))) != 1 or not shape[0]:
+            raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {shapes}")
         for i, array in enumerate(self.features):
+            if array.dtype.kind != "f":
+                raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
                 raise SilemError(
                     f"trajectory {i} has {len(array)} state(s), too short for a window: "
@@ -51,6 +54,8 @@ class Demonstrations:
                 )
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
+        if len(self.returns) not in (0, len(self.features)):
+            raise SilemError(f"{len(self.returns)} returns of {len(self.features)} trajectories")
         n_states = sum(len(array) for array in self.features)
         for name, array in self.extra.items():
             if name in _OWN or array.shape[:1] != (n_states,):
@@ -93,8 +98,8 @@ class Demonstrations:
 
     @classmethod
     def from_arrays(cls, arrays: Iterable[np.ndarray]) -> Demonstrations:
-        """Wrap (T + 1, F) arrays, checked as a file's are."""
-        return cls(tuple(np.asarray(array, dtype=np.float32) for array in arrays))
+        """Wrap (T + 1, F) arrays of numbers, checked as a file's are."""
+        return cls(tuple(_float32(array) for array in arrays))
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:
@@ -102,7 +107,7 @@ class Demonstrations:
 
         Raises:
             SilemError: If there is no such file, or it is truncated, pickled, not a
-                demonstrations file, or holds NaN.
+                demonstrations file, or holds anything but finite numbers.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -110,26 +115,91 @@ class Demonstrations:
         if missing:
             raise SilemError(f"{path.name} is no demonstrations file: it lacks {sorted(missing)}")
         features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
-        if lengths.sum() != len(features):
+        whole = features.ndim == 2 and lengths.ndim == 1 and lengths.dtype.kind == "i"
+        # sums of Python's integers cannot overflow
+        if not whole or min(lengths, default=0) < 1 or sum(lengths.tolist()) != len(features):
             raise SilemError(f"{path.name} is damaged: trajectory lengths do not add up")
-        parts = np.split(features.astype(np.float32), np.cumsum(lengths)[:-1])
-        return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
+        if returns.ndim != 1 or returns.dtype.kind != "f" or not np.isfinite(returns).all():
+            raise SilemError(f"{path.name} is damaged: its returns are no numbers")
+        if body.shape or body.dtype.kind != "U" or run_id.shape or run_id.dtype.kind != "U":
+            raise SilemError(f"{path.name} is damaged: its body or its expert's run is no text")
+        try:
+            parts = np.split(_float32(features), np.cumsum(lengths)[:-1])
+            return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
+        except SilemError as error:
+            raise SilemError(f"{path.name}: {error}") from error
+
+
+def _float32(array: Any) -> np.ndarray:
+    """Return real numbers as float32; text, booleans and complex numbers are no features."""
+    try:
+        found = np.asarray(array)
+    except (TypeError, ValueError) as error:
+        raise SilemError(f"features are no array: {reason(error)}") from error
+    if found.dtype.kind not in "fiu":
+        raise SilemError(f"features are {found.dtype}; allowed: real numbers")
+    with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
+        return found.astype(np.float32)
 
 
 def file_of(name: str) -> Path:
-    """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie."""
-    return paths.demonstrations_dir() / (name if name.endswith(".npz") else f"{name}.npz")
+    """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
+
+    Raises:
+        SilemError: As `silem.util.errors.check_name`.
+    """
+    stem = check_name("demonstrations", name).removesuffix(".npz")
+    return paths.demonstrations_dir() / f"{stem}.npz"
+
+
+def manifest() -> dict[str, dict[str, Any]]:
+    """Return what is said of all published demonstrations, by name; empty where there are none.
+
+    Raises:
+        SilemError: The manifest is damaged.
+    """
+    path = paths.demonstrations_dir() / MANIFEST
+    content = files.read_json(path) if path.exists() else {}
+    if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
+        raise SilemError(f"{path} is no manifest of demonstrations")
+    return content
 
 
 def entry(name: str) -> dict[str, Any]:
     """Return what the manifest says of published demonstrations.
 
     Raises:
-        SilemError: There are none of this name, or no manifest.
+        SilemError: There are none of this name.
     """
-    manifest = files.read_json(paths.demonstrations_dir() / MANIFEST)
-    found: dict[str, Any] = manifest[choose("demonstrations", name, manifest)]
-    return found
+    content = manifest()
+    return content[choose("demonstrations", name, content)]
+
+
+def is_published(name: str) -> bool:
+    """Return whether the file is there and the one that the manifest describes.
+
+    Whoever was killed between writing the one and the other left them apart.
+    """
+    path = file_of(name)
+    return path.exists() and manifest().get(path.stem, {}).get("sha256") == files.sha256(path)
+
+
+def load_published(name: str) -> tuple[Demonstrations, str]:
+    """Return published demonstrations and their file's SHA-256, after checking both.
+
+    Raises:
+        SilemError: The file is damaged, not the one that the manifest describes, or another body's.
+    """
+    path = file_of(name)
+    if not is_published(name):
+        raise SilemError(
+            f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
+            " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
+        )
+    there, about = Demonstrations.load(name), entry(path.stem)
+    if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
+        raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
+    return there, str(about["sha256"])
 
 
 @contextmanager
@@ -140,6 +210,7 @@ def publishing() -> Iterator[None]:
         SilemError: Another process holds it for longer than ten minutes.
     """
     with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+        files.remove_leftovers(paths.demonstrations_dir())
         yield
 
 
@@ -157,11 +228,10 @@ def publish(
         The file.
     """
     path = file_of(name)
+    content = manifest()
     demonstrations.save(path)
-    manifest_path = path.parent / MANIFEST
-    manifest = files.read_json(manifest_path) if manifest_path.exists() else {}
     returns = demonstrations.returns
-    manifest[name] = {
+    content[path.stem] = {
         "body": demonstrations.body,
         "expert_run_id": demonstrations.expert_run_id,
         "n_trajectories": len(demonstrations.features),
@@ -171,7 +241,7 @@ def publish(
         **(about or {}),
         "sha256": files.sha256(path),
     }
-    files.write_json(manifest_path, dict(sorted(manifest.items())))
+    files.write_json(path.parent / MANIFEST, dict(sorted(content.items())))
     return path
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import pandas as pd
 
 from silem import bodies
-from silem.report.validation import validate
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
+from silem.study.verify import check
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -56,7 +56,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         and ``command``) and ``set_aside`` (run ids).
 
     Raises:
-        SilemError: Unknown study or budget, or a record that `silem.report.validation` refuses.
+        SilemError: Unknown study or budget, or a record that `silem.study.verify` refuses.
     """
     choose("budget", budget, BUDGETS)
     plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
@@ -99,7 +99,7 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
             name = _budget_name(path)
             if path.parent.name not in seen and name.partition("-")[0] == budget:
                 seen.add(path.parent.name)
-                yield validate(path.parent)
+                yield check(path.parent)
 
 
 def _budget_name(path: Path) -> str:

@@ -81,7 +81,7 @@ def curve(record: RunRecord) -> Figure:
     Raises:
         SilemError: The run has no curve, or its file is damaged.
     """
-    table = pd.read_csv(record.file(CURVE))
+    table = pd.DataFrame(files.read_csv(record.file(CURVE)))
     panels = [
         (title, lines) for title, lines in _PANELS if title in _ALWAYS or _is_known(table, lines)
     ]

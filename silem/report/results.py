@@ -198,7 +198,7 @@ def load_curve(run_id: str) -> pd.DataFrame:
     Raises:
         SilemError: There is no such run, or its curve is not the file that was recorded.
     """
-    curve = pd.read_csv(find(run_id).file(CURVE))
+    curve = pd.DataFrame(files.read_csv(find(run_id).file(CURVE)))
     if list(curve.columns) != [name for name in CURVE_COLUMNS if name in curve.columns]:
         raise SilemError(f"the curve of {run_id} has columns {', '.join(curve.columns)}")
     return curve.reindex(columns=CURVE_COLUMNS)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from silem.motion.demonstrations import file_of
+from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
@@ -68,7 +68,7 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
             continue
         needs = set()
         body = config.demonstrations
-        if body and not file_of(body).exists():
+        if body and not is_published(body):
             recording = _recording(config, waiting)
             tasks.setdefault(recording.name, recording)
             needs.add(recording.name)

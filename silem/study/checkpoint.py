@@ -8,18 +8,22 @@ resumed run equals an uninterrupted one bit for bit.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from silem.study.config import RunConfig
 from silem.study.curve import COLUMNS
 from silem.util import files
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, reason
 
 CHECKPOINT = "checkpoint.safetensors"
-_MODEL = "model/"
+_MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class Checkpoint:
         run_id: The run it belongs to.
         iteration: Finished iterations.
         wall_time_s: Time spent so far, over all sessions.
+        processor_time_s: Processor time spent so far; None where an earlier session did not count.
         commits: The code's commits of the sessions so far.
         demonstrations_sha256: Hash of the demonstrations' file; "" where none are used.
         curve: Learning curve so far, (iteration, columns) with NaN for blank.
@@ -39,10 +44,17 @@ class Checkpoint:
     run_id: str
     iteration: int
     wall_time_s: float
+    processor_time_s: float | None
     commits: tuple[str, ...]
     demonstrations_sha256: str
     curve: np.ndarray
     model: dict[str, np.ndarray]
+
+    @classmethod
+    def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+        """Return what a run starts from that has not begun."""
+        no_curve = np.empty((0, len(COLUMNS)))
+        return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
 
     def save(self, path: Path) -> None:
         """Write the checkpoint atomically; a crash leaves the one before.
@@ -58,44 +70,84 @@ class Checkpoint:
                     " or infinity; the checkpoint before is kept"
                 )
         arrays = {_MODEL + name: array for name, array in self.model.items()}
+        arrays[_CURVE] = self.curve
         metadata = {
             "run_id": self.run_id,
             "iteration": str(self.iteration),
             "wall_time_s": repr(self.wall_time_s),
+            "processor_time_s": json.dumps(self.processor_time_s),
             "commits": json.dumps(self.commits),
             "demonstrations_sha256": self.demonstrations_sha256,
         }
-        files.write_tensors(path, arrays | {"curve": self.curve}, metadata)
+        metadata[_SHA256] = _digest(arrays, metadata)
+        files.write_tensors(path, arrays, metadata)
 
     @classmethod
-    def load(cls, path: Path, run_id: str, demonstrations_sha256: str) -> Checkpoint:
+    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
         """Read a checkpoint of a given run.
 
         Raises:
-            SilemError: The file is damaged, another run's, or was made with other demonstrations.
-                Nothing is deleted.
+            SilemError: The file is damaged, another run's, was made with other demonstrations, or
+                says what no checkpoint of this run can say. Nothing is deleted.
         """
         advice = "move it away, or run with --force, to start this run anew"
         try:
             arrays, metadata = files.read_tensors(path)
+            # the version before wrote neither a checksum nor processor time
+            if _SHA256 in metadata and metadata.pop(_SHA256) != _digest(arrays, metadata):
+                raise SilemError(f"the checksum of {path} differs")
             found = cls(
-                metadata["run_id"],
-                int(metadata["iteration"]),
-                float(metadata["wall_time_s"]),
-                tuple(json.loads(metadata["commits"])),
-                metadata["demonstrations_sha256"],
-                arrays.pop("curve"),
+                metadata.pop("run_id"),
+                int(metadata.pop("iteration")),
+                float(metadata.pop("wall_time_s")),
+                json.loads(metadata.pop("processor_time_s", "null")),
+                tuple(json.loads(metadata.pop("commits"))),
+                metadata.pop("demonstrations_sha256"),
+                arrays.pop(_CURVE),
                 {name.removeprefix(_MODEL): array for name, array in arrays.items()},
             )
-        except (SilemError, KeyError, ValueError) as error:
-            raise SilemError(f"damaged checkpoint: {error}; {advice}") from error
+            if metadata:
+                raise SilemError(f"{path} holds unknown {', '.join(metadata)}")
+        except (KeyError, TypeError, ValueError) as error:
+            raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
         if found.curve.ndim != 2 or found.curve.shape[1] != len(COLUMNS):
             raise SilemError(f"{path} is of an older version: its curve is another; {advice}")
-        if found.run_id != run_id:
-            raise SilemError(f"{path} is a checkpoint of {found.run_id}, not {run_id}; {advice}")
+        if found.run_id != config.run_id:
+            raise SilemError(
+                f"{path} is a checkpoint of {found.run_id}, not {config.run_id}; {advice}"
+            )
         if found.demonstrations_sha256 != demonstrations_sha256:
             raise SilemError(
                 f"{path} was made with other demonstrations than those there now; bring those"
                 f" back, or {advice}"
             )
+        if wrong := found._implausible(config):
+            raise SilemError(f"damaged checkpoint: {path} {wrong}; {advice}")
         return found
+
+    def _implausible(self, config: RunConfig) -> str:
+        """Return what no checkpoint of a run can say, or ""."""
+        last, budget = self.iteration, config.budget
+        if not 0 < last <= budget.n_iterations or (
+            last % budget.checkpoint_every and last != budget.n_iterations
+        ):
+            return f"is of iteration {last}, at which none is written"
+        iterations = np.arange(1, last + 1)
+        counted = np.stack([iterations, iterations * budget.steps_per_iteration], axis=1)
+        if not np.array_equal(self.curve[:, :2], counted):
+            return f"has no curve of {last} iterations"
+        for seconds in (self.wall_time_s, self.processor_time_s or 0.0):
+            if not isinstance(seconds, float) or not 0 <= seconds < math.inf:
+                return f"has taken {seconds!r} s"
+        if not all(isinstance(commit, str) for commit in self.commits):
+            return "names commits that are no text"
+        return ""
+
+
+def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
+    """Return a SHA-256 of all that a checkpoint holds."""
+    about = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
+    digest = hashlib.sha256(json.dumps([about, dict(metadata)], sort_keys=True).encode())
+    for name in sorted(arrays):
+        digest.update(np.asarray(arrays[name], order="C").tobytes())
+    return digest.hexdigest()

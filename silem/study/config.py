@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,10 +17,13 @@ from silem import bodies
 from silem.bodies import Body
 from silem.study import settings
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose, reason
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
+
+MAX_RUN_ID = 240
+"""Characters of a run's id, which is a folder's name: file systems take 255."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +78,9 @@ class RunConfig:
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
         study = family if study is None else study
-        if not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", study):
-            raise SilemError(f"study must be of a-z, 0-9, - and _, not {study!r}")
+        for kind, name in (("study", study), ("body", body), ("demonstrations", demonstrations)):
+            if name or kind != "demonstrations":
+                check_name(kind, name)
         allowed = [*HyperParameters.names_used_by(method), *bodies.get(body).parameters]
         for name in overrides:
             choose(f"hyper-parameter of {method}", name, allowed)
@@ -195,5 +198,5 @@ class RunConfig:
                 content["study"],
                 **content["hyper"],
             )
-        except (KeyError, TypeError) as error:
-            raise SilemError(f"no valid run configuration: {error}") from error
+        except (AttributeError, KeyError, TypeError) as error:
+            raise SilemError(f"no valid run configuration: {reason(error)}") from error

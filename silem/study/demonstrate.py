@@ -96,18 +96,20 @@ def demonstrate(
     with demos.publishing():
         if path.exists() and not force:
             there = demos.Demonstrations.load(name)
-            if there.expert_run_id == record.run_id and len(there.features) == n_trajectories:
+            if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
+                raise SilemError(
+                    f"{path} holds {len(there.features)} trajectories of"
+                    f" {there.expert_run_id or 'another expert'} already; --force replaces them"
+                )
+            if demos.is_published(name):
                 return path
-            raise SilemError(
-                f"{path} holds {len(there.features)} trajectories of"
-                f" {there.expert_run_id or 'another expert'} already; --force replaces them"
+        else:
+            policy = load_policy(record)
+            there = record_episodes(
+                policy, body, n_trajectories, run_id=record.run_id, progress=progress
             )
-        policy = load_policy(record)
-        recorded = record_episodes(
-            policy, body, n_trajectories, run_id=record.run_id, progress=progress
-        )
         runner = isinstance(bodies.get(body), BulletBody)
-        return demos.publish(name, recorded, gait.measure(recorded)._asdict() if runner else None)
+        return demos.publish(name, there, gait.measure(there)._asdict() if runner else None)
 
 
 def describe(name: str) -> str:

@@ -6,7 +6,7 @@ Policies act stochastically, as in training and in the demonstrations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -110,7 +110,7 @@ def episodes(
     *,
     progress: bool = False,
     **options: Any,
-) -> Iterator[Episode]:
+) -> Generator[Episode, None, None]:
     """Roll out a policy for exactly `n_episodes` episodes.
 
     Every environment's number of episodes is fixed beforehand, so that short episodes are not

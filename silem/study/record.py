@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import os
 import platform
+import re
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from silem.study.config import RunConfig
 from silem.util import files, paths
@@ -16,6 +21,7 @@ from silem.util.errors import SilemError, choose
 
 RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
+_LATER = {"processor_time_s"}  # older records are without
 PACKAGES = (
     "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",
 )  # fmt: skip
@@ -33,9 +39,10 @@ class RunRecord:
         training: ``n_steps``, ``steps_per_s`` and ``disc_reward_last`` (per episode, None where
             there is no discriminator).
         provenance: Commit, environment and package versions of the session that finished the run,
-            and ``earlier_commits`` of the sessions it went on from.
+            and ``earlier_commits`` of the sessions it went on from, and the `machine`.
         demonstrations_sha256: Hash of the demonstrations' file, None where none were used.
         wall_time_s: Time of training and evaluation, over all sessions.
+        processor_time_s: Processor time of the same; None in records of before it was counted.
         files: SHA-256 of every file beside the record, by name.
         folder: Where the record was read from or written to; no part of its content.
     """
@@ -50,6 +57,7 @@ class RunRecord:
     wall_time_s: float
     files: dict[str, str]
     folder: Path = dataclasses.field(compare=False)
+    processor_time_s: float | None = None
 
     @classmethod
     def load(cls, path: Path) -> RunRecord:
@@ -61,15 +69,20 @@ class RunRecord:
         path = Path(path)
         path = path / RECORD if path.is_dir() else path
         content = files.read_json(path)
-        names = [field.name for field in dataclasses.fields(cls) if field.name != "folder"]
-        if not isinstance(content, dict) or sorted(content) != sorted(names):
-            raise SilemError(f"{path} is no run record (it needs the keys {', '.join(names)})")
+        names = {field.name for field in dataclasses.fields(cls)} - {"folder"}
+        if not isinstance(content, dict) or names - set(content) - _LATER or set(content) - names:
+            needed = ", ".join(sorted(names - _LATER))
+            raise SilemError(f"{path} is no run record (it needs the keys {needed})")
+        for name in ("config", "evaluation", "training", "provenance", "files"):
+            if not isinstance(content[name], dict):
+                raise SilemError(f"{path} is no run record: its {name} is no mapping")
         return cls(**content, folder=path.parent)
 
     def save(self, folder: Path) -> None:
         """Write ``record.json`` into a folder."""
         content = dataclasses.asdict(self)
         del content["folder"]
+        content = {k: v for k, v in content.items() if v is not None or k not in _LATER}
         files.write_json(folder / RECORD, content)
 
     def run_config(self) -> RunConfig:
@@ -94,18 +107,50 @@ def provenance() -> dict[str, Any]:
     ``git_dirty`` tells whether the package's own code differs from the commit. Without git both
     are None.
     """
-    status = _git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
+    status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
     environment = paths.REPO / "environment.txt"
     return {
-        "git_commit": _git("rev-parse", "HEAD"),
+        "git_commit": git("rev-parse", "HEAD"),
         "git_dirty": None if status is None else bool(status),
         "environment_sha256": files.sha256(environment) if environment.is_file() else None,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
+        "machine": machine(),
     }
 
 
-def _git(*arguments: str) -> str | None:
+def machine() -> dict[str, Any]:
+    """Return what moves a run's last bits or its speed: processor, kernels, cores.
+
+    ``kernels`` are those that the numerical libraries chose for this processor.
+    """
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):
+        found = re.search(r"^model name\s*:\s*(.*)$", Path("/proc/cpuinfo").read_text(), re.M)
+        processor = found[1] if found else processor
+    return {"processor": processor, "cores": os.cpu_count(), "kernels": _kernels()}
+
+
+def _kernels() -> dict[str, str | None]:
+    import torch  # reading a record does not need it
+
+    numpy = np.show_config("dicts")
+    blas = str(numpy["Build Dependencies"]["blas"].get("openblas configuration"))
+    with suppress(ImportError):  # tells what OpenBLAS chose, not what it was built for
+        import threadpoolctl
+
+        chosen = {pool.get("architecture") for pool in threadpoolctl.threadpool_info()} - {None}
+        blas = ", ".join(sorted(chosen)) or blas
+    return {
+        "blas": blas,
+        "numpy": ", ".join(numpy["SIMD Extensions"].get("found", [])),
+        "torch": torch.backends.cpu.get_cpu_capability(),
+        "mkl_cbwr": os.environ.get("MKL_CBWR"),
+    }
+
+
+def git(*arguments: str) -> str | None:
+    """Return what git says about this repository; None where there is no git or no repository."""
     command = ["git", "-C", str(paths.REPO), *arguments]
     try:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()

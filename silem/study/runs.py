@@ -17,13 +17,14 @@ from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
-from silem.study.config import RunConfig
+from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
+from silem.study.settings import check_counts
 from silem.study.training import PROGRESS, Segments, make_env, make_model, task_options, train
 from silem.util import files, paths
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, check_name
 
 LOCK = "run.lock"
 
@@ -34,7 +35,12 @@ def run_folder(config: RunConfig) -> Path:
 
 
 def find(run_id: str) -> RunRecord | None:
-    """Return a finished run's record, or None; published records come first."""
+    """Return a finished run's record, or None; published records come first.
+
+    Raises:
+        SilemError: `run_id` can be no run's, or the record is damaged.
+    """
+    check_name("run id", run_id, MAX_RUN_ID)
     for root in (paths.data_dir() / "results", paths.runs_dir()):
         for path in sorted(root.glob(f"*/{run_id}/{RECORD}")):
             return RunRecord.load(path)
@@ -48,8 +54,10 @@ def finished(config: RunConfig) -> RunRecord | None:
         SilemError: It was made with other demonstrations than those there are now.
     """
     record = find(config.run_id)
+    if record is None or not config.demonstrations:
+        return record
     path = demos.file_of(config.demonstrations)
-    if record is None or not config.demonstrations or not path.exists():
+    if not path.exists():
         return record
     now, then = files.sha256(path), str(record.demonstrations_sha256)
     if now != then:
@@ -90,14 +98,18 @@ def run(
             its demonstrations are missing, too few, or not those it was made with.
         KeyboardInterrupt: On Ctrl-C or SIGTERM; the message tells how to go on.
     """
-    if not force and (record := finished(config)):
+    folder, published = run_folder(config), paths.results_dir(config.study) / config.run_id
+    written = (folder, published)
+    crashed = any(files.leftovers(place) for place in written)
+    if not (force or crashed) and (record := finished(config)):
         return record
-    folder = run_folder(config)
+    check_counts(config.budget, bodies.get(config.body).family)
     wait_s = float("inf") if wait else 1.0
     with sigterm_as_interrupt(), files.lock(folder / LOCK, wait_s):
+        for place in written:
+            files.remove_leftovers(place)
         if not force and (record := finished(config)):  # by whoever held the lock
             return record
-        files.remove_leftovers(folder)
         if force:
             for name in (CHECKPOINT, RECORD, PROGRESS):
                 (folder / name).unlink(missing_ok=True)
@@ -112,15 +124,18 @@ def run(
 def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it."""
     torch.set_num_threads(1)
-    began = time.perf_counter()
+    began, processor_began = time.perf_counter(), time.process_time()
     source = provenance()
     n_episodes = config.budget.n_eval_episodes
     if config.method == "random":
         policy = random_policy(config.learner, config.seed, config.hyper.action_std)
         result = evaluate(policy, config.learner, n_episodes, progress=progress)
         training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
-        wall_time_s = time.perf_counter() - began
-        return _record(config, folder, result, training, source, None, wall_time_s)
+        spent = {
+            "wall_time_s": time.perf_counter() - began,
+            "processor_time_s": time.process_time() - processor_began,
+        }
+        return _record(config, folder, result, training, source, None, spent)
 
     demonstrations, sha = load_demonstrations(config)
     start = _start(config, folder, sha or "", source["git_commit"] or "unknown")
@@ -136,16 +151,13 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
-    return _record(config, folder, result, training, source, sha, segments.wall_time_s)
+    return _record(config, folder, result, training, source, sha, segments.spent)
 
 
 def _start(config: RunConfig, folder: Path, sha: str, commit: str) -> Checkpoint:
     """Return the run's checkpoint, or an empty one; the present commit joins it."""
     path = folder / CHECKPOINT
-    if not path.exists():
-        no_curve = np.empty((0, len(curve.COLUMNS)))
-        return Checkpoint(config.run_id, 0, 0.0, (commit,), sha, no_curve, {})
-    found = Checkpoint.load(path, config.run_id, sha)
+    found = Checkpoint.load(path, config, sha) if path.exists() else Checkpoint.start(config, sha)
     return dataclasses.replace(found, commits=tuple(dict.fromkeys([*found.commits, commit])))
 
 
@@ -154,7 +166,7 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
     disc_rewards = disc_rewards[~np.isnan(disc_rewards)]
     return {
         "n_steps": config.budget.n_steps,
-        "steps_per_s": config.budget.n_steps / segments.wall_time_s,
+        "steps_per_s": config.budget.n_steps / segments.spent["wall_time_s"],
         "disc_reward_last": float(disc_rewards[-1]) if len(disc_rewards) else None,
     }
 
@@ -178,9 +190,10 @@ def _record(
     training: dict[str, Any],
     source: dict[str, Any],
     demonstrations_sha256: str | None,
-    wall_time_s: float,
+    spent: dict[str, Any],
 ) -> RunRecord:
     """Publish the run where its budget says so; the records themselves are written last."""
+    (folder / PROGRESS).unlink(missing_ok=True)
     names = [name for name in (CURVE, POLICY, TRANSFORM) if (folder / name).exists()]
     record = RunRecord(
         run_id=config.run_id,
@@ -190,7 +203,7 @@ def _record(
         training=training,
         provenance=source,
         demonstrations_sha256=demonstrations_sha256,
-        wall_time_s=wall_time_s,
+        **spent,
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
@@ -200,7 +213,6 @@ def _record(
             files.write_bytes(published / name, (folder / name).read_bytes())
         record.save(published)
     record.save(folder)
-    (folder / PROGRESS).unlink(missing_ok=True)
     return record
 
 
@@ -208,7 +220,8 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
     """Return a run's demonstrations and their file's SHA-256, or None twice for no imitator.
 
     Raises:
-        SilemError: They are missing or damaged; the message says how to make them.
+        SilemError: They are missing, damaged or not those in the manifest; the message says how to
+            make them.
     """
     if not config.demonstrations:
         return None, None
@@ -221,11 +234,11 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
             f" it with `python -m silem demonstrations --body {config.demonstrations}` (both take"
             " --budget)"
         )
-    return Demonstrations.load(config.demonstrations), files.sha256(path)
+    return demos.load_published(config.demonstrations)
 
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
     if demonstrations not in bodies.names():
         path = demos.file_of(demonstrations)
-        raise SilemError(f"there is no {path}; `python -m silem mocap` makes it")
+        raise SilemError(f"{path} is not there or not whole; `python -m silem mocap` makes it")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 from silem import bodies, paper
 from silem.motion import retargeted
 from silem.motion.demonstrations import file_of
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose, clipped
 
 HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
@@ -198,8 +199,8 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
     enough = "signed" in rule or value > 0 or (value == 0 and "zero" in rule)
-    if not enough or not value <= rule.get("most", value) or abs(value) == float("inf"):
-        raise SilemError(f"{name} is out of range: {value!r}")
+    if not enough or not value <= rule.get("most", value) or abs(value) > sys.float_info.max:
+        raise SilemError(f"{name} is out of range: {clipped(repr(value))}")
     return float(value)
 
 
@@ -219,6 +220,7 @@ class Budget:
     checkpoint_every: int  # iterations; episodes start anew at every checkpoint
 
     def __post_init__(self) -> None:
+        check_name("budget", self.name)
         for item in dataclasses.fields(self):
             if item.name != "name":
                 check_positive_int(f"budget {item.name}", getattr(self, item.name))
@@ -342,6 +344,27 @@ def of_family(budget: Budget, family: str) -> Budget:
     if budget != base:
         counts.pop("n_iterations", None)
     return dataclasses.replace(budget, **counts)
+
+
+def check_counts(budget: Budget, family: str) -> None:
+    """Refuse a budget that bears the name of one of `BUDGETS` without its counts.
+
+    Its runs would pass for evidence. Finished runs are not asked: counts change over time.
+
+    Raises:
+        SilemError: Naming what differs.
+    """
+    base = BUDGETS.get(budget.base_name)
+    if base is None:
+        return
+    own = base if budget.name == base.name else base.with_iterations(budget.n_iterations)
+    expected = dataclasses.asdict(of_family(own, family)) | {"n_trials": budget.n_trials}
+    differs = [name for name in expected if getattr(budget, name) != expected[name]]
+    if differs:
+        raise SilemError(
+            f"budget {budget.name!r} has another {', '.join(differs)} than {own.name!r}; give it a"
+            f" name of its own, which begins with none of {', '.join(BUDGETS)}"
+        )
 
 
 def _family(name: str) -> FamilySettings:

@@ -194,6 +194,7 @@ class Segments(BaseCallback):
         self._rows = list(start.curve)
         self._return: float | None = None
         self._began = self._shown = time.perf_counter()
+        self._processor_began = time.process_time()
         total, done = config.budget.n_iterations, start.iteration
         self._bar = tqdm(
             total=total, initial=done, desc=config.run_id, unit="it", disable=not progress
@@ -205,9 +206,17 @@ class Segments(BaseCallback):
         return np.array(self._rows).reshape(-1, len(curve.COLUMNS))
 
     @property
-    def wall_time_s(self) -> float:
-        """Time spent on this run so far, over all sessions."""
-        return self._start.wall_time_s + time.perf_counter() - self._began
+    def spent(self) -> dict[str, Any]:
+        """Wall and processor time spent on this run so far, over all sessions.
+
+        Processor time is None where an earlier session did not count it.
+        """
+        before = self._start.processor_time_s
+        processor_s = time.process_time() - self._processor_began
+        return {
+            "wall_time_s": self._start.wall_time_s + time.perf_counter() - self._began,
+            "processor_time_s": None if before is None else before + processor_s,
+        }
 
     @property
     def _ppo(self) -> PPO:
@@ -267,7 +276,7 @@ class Segments(BaseCallback):
         checkpoint = dataclasses.replace(
             self._start,
             iteration=self._iteration(),
-            wall_time_s=self.wall_time_s,
+            **self.spent,
             curve=self.curve,
             model=self._ppo.state_arrays(),
         )

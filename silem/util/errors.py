@@ -1,9 +1,10 @@
-"""The one exception of this package, and the one way to check a name or a number."""
+"""The one exception of this package, and the one way to check a name, a number or a file's name."""
 
 from __future__ import annotations
 
 import math
 import numbers
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -29,8 +30,43 @@ def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
     """
     names = list(allowed)
     if value not in names:
-        raise SilemError(f"unknown {kind} {value!r}; allowed: {', '.join(names)}")
+        raise SilemError(f"unknown {kind} {clipped(repr(value))}; allowed: {', '.join(names)}")
     return value
+
+
+def check_name(kind: str, value: Any, longest: int = 64) -> str:
+    """Return `value` if it can be the name of a file or folder; every name that becomes one may.
+
+    Args:
+        kind: What the name stands for ("study", "run id", ...), used in the message.
+        value: The name to check.
+        longest: How many characters it may have.
+
+    Raises:
+        SilemError: If it holds anything but letters, digits, ``.``, ``_`` and ``-``, does not begin
+            with a letter or digit, or is too long.
+    """
+    if (
+        not isinstance(value, str)
+        or len(value) > longest
+        or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value)
+    ):
+        raise SilemError(
+            f"{kind} must be a name of at most {longest} letters, digits, '.', '_' and '-', and"
+            f" begin with a letter or digit, not {clipped(repr(value))}"
+        )
+    return value
+
+
+def reason(error: BaseException) -> str:
+    """Return what an exception says, in one line of bearable length."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return clipped(" ".join(str(text).split()))
+
+
+def clipped(text: str, longest: int = 200) -> str:
+    """Return a text, cut where it is too long for a message."""
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 @dataclass(frozen=True)

@@ -7,25 +7,30 @@ Whatever goes wrong with a file becomes a `SilemError` that names it.
 
 from __future__ import annotations
 
+import csv
+import errno
+import fcntl
 import hashlib
 import io
 import json
 import os
 import socket
+import time
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import filelock
 import numpy as np
-import safetensors
 import safetensors.numpy
 
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, reason
 
 Arrays = dict[str, np.ndarray]
+
+MAX_UNFOLDED_BYTES = 1 << 29
+"""What the arrays of one npz file may take in memory; a small file can claim to hold any amount."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -50,7 +55,7 @@ def write_bytes(path: Path, data: bytes) -> None:
             raise
         _sync_folder(path.parent)
     except OSError as error:
-        raise SilemError(f"cannot write {path}: {error.strerror or error}") from error
+        raise SilemError(f"cannot write {path}: {reason(error)}") from error
 
 
 def _sync_folder(folder: Path) -> None:
@@ -62,17 +67,38 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def leftovers(folder: Path) -> list[Path]:
+    """Return the temporary files that a killed writer left in a folder."""
+    return sorted(Path(folder).glob(".*.tmp"))
+
+
 def remove_leftovers(folder: Path) -> None:
-    """Delete the temporary files that a killed writer left in a folder."""
-    for leftover in Path(folder).glob(".*.tmp"):
-        leftover.unlink(missing_ok=True)
+    """Delete the `leftovers` of a folder; only for who holds the lock of those that write there.
+
+    Raises:
+        SilemError: One of them cannot be deleted.
+    """
+    for leftover in leftovers(folder):
+        try:
+            leftover.unlink(missing_ok=True)
+        except OSError as error:
+            raise SilemError(f"cannot remove {leftover}: {reason(error)}") from error
 
 
 def _read_bytes(path: Path) -> bytes:
     try:
         return Path(path).read_bytes()
-    except OSError as error:
-        raise SilemError(f"cannot read {path}: {error.strerror or error}") from error
+    except (OSError, ValueError, MemoryError) as error:  # ValueError: a NUL in the path
+        raise SilemError(f"cannot read {path}: {reason(error)}") from error
+
+
+@contextmanager
+def _parsing(path: Path, what: str) -> Iterator[None]:
+    """Turn whatever a parser of foreign bytes raises into one line that names the file."""
+    try:
+        yield
+    except Exception as error:  # zlib, lzma, struct, memory, overflow, recursion, ...: no list ends
+        raise SilemError(f"{path} is {what} ({reason(error)})") from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -99,10 +125,25 @@ def read_json(path: Path) -> Any:
     Raises:
         SilemError: The file is missing, truncated or no JSON.
     """
-    try:
-        return json.loads(_read_bytes(path))
-    except ValueError as error:  # includes bytes that are no UTF-8
-        raise SilemError(f"{path} is no valid JSON ({error})") from error
+    data = _read_bytes(path)
+    with _parsing(path, "no valid JSON"):
+        return json.loads(data)
+
+
+def read_csv(path: Path) -> dict[str, np.ndarray]:
+    """Read a CSV file of numbers: its columns by name, NaN where blank.
+
+    Raises:
+        SilemError: The file is missing, holds anything but numbers below its one line of names, or
+            its rows differ in length.
+    """
+    data = _read_bytes(path)
+    with _parsing(path, "no table of numbers"):
+        names, *rows = csv.reader(io.StringIO(data.decode()), strict=True)
+        if len(set(names)) != len(names) or any(len(row) != len(names) for row in rows):
+            raise ValueError("its rows and its line of names do not match")
+        values = np.array([[float(cell or "nan") for cell in row] for row in rows])
+        return dict(zip(names, values.reshape(len(rows), len(names)).T, strict=True))
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -128,19 +169,24 @@ def read_npz(path: Path) -> Arrays:
     """Read every array of an npz file.
 
     Raises:
-        SilemError: The file is missing, truncated, damaged, no npz, or holds a pickle.
+        SilemError: The file is missing, truncated, damaged, encrypted, no npz, holds a pickle or
+            one name twice, or its arrays take more than `MAX_UNFOLDED_BYTES`.
     """
     data = _read_bytes(path)
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return {
-                name.removesuffix(".npy"): np.lib.format.read_array(
-                    io.BytesIO(archive.read(name)), allow_pickle=False
-                )
-                for name in archive.namelist()
-            }
-    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError) as error:
-        raise SilemError(f"{path} is no readable npz file of plain arrays ({error})") from error
+    with (
+        _parsing(path, "no readable npz file of plain arrays"),
+        zipfile.ZipFile(io.BytesIO(data)) as archive,
+    ):
+        names = [entry.filename.removesuffix(".npy") for entry in archive.infolist()]
+        if len(set(names)) != len(names):
+            raise ValueError("it holds one name twice")
+        # zipfile unfolds no more of an entry than the size that it states
+        if sum(entry.file_size for entry in archive.infolist()) > MAX_UNFOLDED_BYTES:
+            raise ValueError(f"unfolded it takes more than {MAX_UNFOLDED_BYTES >> 20} MiB")
+        return {
+            name: np.lib.format.read_array(io.BytesIO(archive.read(entry)), allow_pickle=False)
+            for name, entry in zip(names, archive.infolist(), strict=True)
+        }
 
 
 def write_tensors(
@@ -171,17 +217,15 @@ def read_tensors(path: Path) -> tuple[Arrays, dict[str, str]]:
         SilemError: The file is missing, truncated, damaged or not of this project.
     """
     data = _read_bytes(path)
-    try:
+    with _parsing(path, "damaged or no safetensors file of this project"):
         # safetensors.numpy.load drops the metadata; they stand in the header, whose length
         # is the first 8 bytes.
         arrays = safetensors.numpy.load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
         metadata = json.loads(header["__metadata__"]["silem"])
-    except (safetensors.SafetensorError, KeyError, ValueError) as error:
-        raise SilemError(
-            f"{path} is damaged or no safetensors file of this project ({error})"
-        ) from error
-    return {name: np.array(array) for name, array in arrays.items()}, metadata
+        if not all(isinstance(value, str) for value in metadata.values()):
+            raise ValueError("its metadata are no texts")
+        return {name: np.array(array) for name, array in arrays.items()}, metadata
 
 
 def sha256(path: Path) -> str:
@@ -198,43 +242,58 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs.
 
     The kernel releases the lock when its process ends, even by ``kill -9``, so no stale lock can
-    stay behind. The holder's ``pid@host`` stands beside it in ``<path>.holder``, for messages only.
-
-    Args:
-        path: The lock file, whose folder is made where needed.
-        wait_s: How long to wait for another process to let go, seconds.
+    stay behind. The file's text is the holder's ``pid@host``, for messages only. Another process is
+    waited for `wait_s` seconds.
 
     Raises:
-        SilemError: Another process holds the lock (the message names it), or the file cannot be
-            made.
+        SilemError: Another process holds the lock (the message names it), or there can be none.
     """
     path = Path(path)
-    holder = path.with_name(path.name + ".holder")
-    guard = filelock.FileLock(path)
+    until = time.monotonic() + wait_s
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        guard.acquire(timeout=wait_s)
-    except filelock.Timeout:
-        name = holder.read_text() if holder.is_file() else "another process"
-        raise SilemError(f"{path} is held by {name}, which is at work there") from None
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
-        raise SilemError(f"cannot lock {path}: {error.strerror or error}") from error
+        raise SilemError(f"cannot lock {path}: {reason(error)}") from error
     try:
-        write_text(holder, f"{os.getpid()}@{socket.gethostname()}")
+        while not _lock_now(path, descriptor, fcntl.LOCK_EX):
+            if time.monotonic() >= until:
+                holder = os.pread(descriptor, 100, 0).decode(errors="replace")
+                name = holder.strip() or "another process"
+                raise SilemError(f"{path} is held by {name}, which is at work there")
+            time.sleep(0.02)
+        with suppress(OSError):  # a full disk is no reason not to work
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()}@{socket.gethostname()}".encode(), 0)
         yield
     finally:
-        holder.unlink(missing_ok=True)
-        guard.release()
+        os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether some process holds a `lock` at this moment."""
-    if not Path(path).exists():
-        return False
-    guard = filelock.FileLock(path)
+    """Return whether some process holds a `lock` at this moment.
+
+    A lock file that this user may not open is another user's and counts as held. Where the file
+    system has no locks none is held, because `lock` refuses to work there.
+    """
     try:
-        guard.acquire(timeout=0)
-    except filelock.Timeout:
-        return True
-    guard.release()
-    return False
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        return isinstance(error, PermissionError)
+    try:
+        return not _lock_now(path, descriptor, fcntl.LOCK_SH)
+    except SilemError:
+        return False
+    finally:
+        os.close(descriptor)
+
+
+def _lock_now(path: Path, descriptor: int, kind: int) -> bool:
+    """Lock an open file, or return False where another process holds it."""
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES):  # some file systems say EACCES
+            return False
+        raise SilemError(f"cannot lock {path}: {reason(error)}") from error
+    return True

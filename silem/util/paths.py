@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from silem.util.errors import check_name
+
 REPO = Path(__file__).resolve().parent.parent.parent
 """The repository's root (the folder that holds ``silem/``)."""
 
@@ -20,8 +22,8 @@ def data_dir() -> Path:
 
 
 def results_dir(study: str) -> Path:
-    """Return the folder of a study's published (committed) records."""
-    return data_dir() / "results" / study
+    """Return the folder of a study's published (committed) records; raises as `check_name`."""
+    return data_dir() / "results" / check_name("study", study)
 
 
 def runs_dir() -> Path:

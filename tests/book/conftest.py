@@ -6,11 +6,11 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import filelock
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 from silem.report import bookbuild
+from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -28,7 +28,7 @@ def html() -> Path:
         return bookbuild.html()
     root = REPO / "_build" / "tests"
     root.mkdir(parents=True, exist_ok=True)
-    with filelock.FileLock(root / "tests.lock"):
+    with files.lock(root / "tests.lock", wait_s=float("inf")):
         if not bookbuild.is_current(root):
             try:
                 bookbuild.build(n_workers=2, root=root, parameters={})

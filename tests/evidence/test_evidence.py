@@ -14,9 +14,10 @@ from silem.bodies import humanoid
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import figures, results
-from silem.report.validation import validate
-from silem.study.config import DEMONSTRATOR_SEED, TRIAL_SEEDS
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.study import verify
+from silem.study.config import TRIAL_SEEDS
+from silem.study.demonstrate import expert_of
+from silem.study.record import POLICY, RECORD, RunRecord
 from silem.study.settings import HUMAN
 from silem.util import files, paths
 
@@ -42,48 +43,29 @@ def committed_data(monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_records
 @pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
 def test_record_is_sound_and_whole(path: Path) -> None:
-    record = validate(path.parent)
+    record = verify.check(path.parent)
+    verify.check_source(record)
     config = record.run_config()
     assert config.study == path.parent.parent.name
     assert config.budget.is_evidence
     assert config.seed in TRIAL_SEEDS
-    assert record.status == "finished"
-    assert record.provenance["git_commit"]
-    expected = set() if config.method == "random" else {CURVE, POLICY}
-    expected |= {TRANSFORM} if config.transform == "affine" else set()
-    assert set(record.files) == expected
     present = {file.name: file.stat().st_size for file in path.parent.iterdir()}
-    assert set(present) == expected | {RECORD}
+    assert set(present) == {*record.files, RECORD}
     assert max(present.values()) <= MAX_BYTES
+    if record.files:
+        curve = results.load_curve(record.run_id)
+        assert curve["return_mean"].notna().any()
+        assert curve["disc_reward"].notna().any() == bool(config.demonstrations)
 
 
 @needs_records
-@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
-def test_imitators_learned_from_the_published_demonstrations(path: Path) -> None:
-    record = RunRecord.load(path)
-    expert = record.config["demonstrations"]
-    if expert:
-        assert record.demonstrations_sha256 == MANIFEST_CONTENT[expert]["sha256"]
-        assert (
-            record.config["hyper"]["n_trajectories"] <= MANIFEST_CONTENT[expert]["n_trajectories"]
-        )
-    else:
-        assert record.demonstrations_sha256 is None
-
-
-@needs_records
-@pytest.mark.parametrize("path", RECORDS, ids=lambda path: path.parent.name)
-def test_curves_end_where_training_ended(path: Path) -> None:
-    record = RunRecord.load(path)
-    if record.config["method"] == "random":
-        pytest.skip("the random policy is not trained")
-    curve = results.load_curve(record.run_id)
-    assert 1 <= len(curve) <= 200
-    assert curve["iteration"].iloc[-1] == record.config["budget"]["n_iterations"]
-    assert curve["timesteps"].iloc[-1] == record.training["n_steps"]
-    assert curve["timesteps"].is_monotonic_increasing
-    assert curve["return_mean"].notna().any()
-    assert curve["disc_reward"].notna().any() == (record.demonstrations_sha256 is not None)
+@pytest.mark.parametrize("study", STUDIES)
+def test_one_policy_of_each_study_does_what_its_record_says(study: str) -> None:
+    """Exact where the record's processor is this one, else within `verify.TOLERANCE`."""
+    trained = [path.parent for path in RECORDS if path.parent.parent.name == study]
+    chosen = next(folder for folder in trained if (folder / POLICY).exists())
+    verdict = verify.verify(chosen)
+    assert verdict.outcome in (verify.EXACT, verify.WITHIN), verdict
 
 
 @needs_records
@@ -134,7 +116,7 @@ def test_manifest_describes_the_demonstrations(name: str) -> None:
     assert demonstrations.body == entry["body"]
     assert demonstrations.expert_run_id == entry["expert_run_id"]
     if demonstrations.expert_run_id:
-        assert demonstrations.body == name
+        assert demonstrations.body == expert_of(name)[0]
         assert np.mean(demonstrations.returns) == pytest.approx(entry["return_mean"])
         assert np.std(demonstrations.returns) == pytest.approx(entry["return_std"])
     else:
@@ -165,7 +147,7 @@ def test_demonstrations_come_from_a_published_expert(name: str) -> None:
     entry = MANIFEST_CONTENT[name]
     record = results.find(entry["expert_run_id"])
     config = record.run_config()
-    assert (config.method, config.body, config.seed) == ("ppo", name, DEMONSTRATOR_SEED)
+    assert (config.method, config.body) == ("ppo", expert_of(name)[0])
     # The same stochastic policy: its demonstrations are worth what its evaluation was.
     spread = max(entry["return_std"], record.evaluation["return_std"])
     error = spread * (1 / entry["n_trajectories"] + 1 / record.evaluation["n_episodes"]) ** 0.5

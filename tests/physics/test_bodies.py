@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import errno
 import itertools
 import math
+import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import gymnasium
@@ -213,3 +216,16 @@ def test_edits_that_would_miss_are_refused():
         mjcf.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
     with pytest.raises(SilemError, match="no attribute 'mass'"):
         mjcf.set_attribute(xml, "geom", "torso", "mass", "1")
+
+
+def test_a_full_temporary_folder_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(os, "fdopen", full)
+    with pytest.raises(SilemError, match="no temporary file for HC0: No space left on device"):
+        Simulator(bodies.get("HC0"))
+    assert not list(tmp_path.iterdir())

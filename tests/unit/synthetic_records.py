@@ -73,6 +73,9 @@ def write_record(
     if config.method != "random":
         files.write_text(folder / "curve.csv", _curve(config, return_mean, rng))
         written["curve.csv"] = files.sha256(folder / "curve.csv")
+        policy = {"mean": np.zeros(1, np.float32)}
+        files.write_tensors(folder / "policy.safetensors", policy, {"run_id": config.run_id})
+        written["policy.safetensors"] = files.sha256(folder / "policy.safetensors")
     if config.transform == "affine":
         arrays = _humanoid_transform(config, rng) if walks else _cheetah_transform(config, rng)
         files.write_npz(folder / "transform.npz", arrays)

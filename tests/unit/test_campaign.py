@@ -45,6 +45,15 @@ def test_the_first_trial_of_every_cell_comes_before_any_second() -> None:
     assert [(config.method, config.body) for config in only] == [("ppo", "HC1"), ("silem", "HC1")]
 
 
+def publish(content: bytes) -> None:
+    """Write a file of HC0's demonstrations, and a manifest that describes it."""
+    path = demonstrations.file_of("HC0")
+    files.write_bytes(path, content)
+    files.write_json(
+        path.with_name(demonstrations.MANIFEST), {"HC0": {"sha256": files.sha256(path)}}
+    )
+
+
 def test_imitators_wait_for_their_experts_demonstrations(data: Path) -> None:
     expert, imitator, other = study_configs(
         "halfcheetah", TINY, 1, body=["HC0"], method=["ppo", "silem", "random"]
@@ -54,8 +63,7 @@ def test_imitators_wait_for_their_experts_demonstrations(data: Path) -> None:
     assert tasks[imitator.run_id].needs == {recording.name}
     assert recording.needs == {expert.run_id}
     assert tasks[other.run_id].needs == tasks[expert.run_id].needs == set()
-    demonstrations.file_of("HC0").parent.mkdir()
-    demonstrations.file_of("HC0").touch()
+    publish(b"")
     tasks = {task.name: task for task in campaign.plan([imitator, other, expert])}
     assert "demonstrations HC0" not in tasks
     assert tasks[imitator.run_id].needs == set()
@@ -101,8 +109,7 @@ def test_a_killed_worker_goes_on_and_a_second_campaign_has_nothing_to_do(
 
 
 def test_a_failure_is_reported_after_all_others_were_made(data: Path) -> None:
-    demonstrations.file_of("HC0").parent.mkdir()
-    demonstrations.file_of("HC0").write_bytes(b"no npz")
+    publish(b"no npz")
     bad, good = study_configs("halfcheetah", TINY, 1, body=["HC0"], method=["silem", "random"])
     with pytest.raises(SilemError, match=rf"{bad.run_id} failed: silem: .*HC0\.npz"):
         campaign.campaign([bad, good], n_workers=1, progress=False)

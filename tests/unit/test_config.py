@@ -29,6 +29,9 @@ create = RunConfig.create
         ({"seed": 1.0}, "seed must be"),
         ({"seed": True}, "seed must be"),
         ({"study": "../elsewhere"}, "study must be"),
+        ({"study": "x" * 65}, "study must be a name of at most 64"),
+        ({"study": ".."}, "study must be"),
+        ({"gradient_penalty": 10**400}, "gradient_penalty is out of range"),
         ({"gama": 0.9}, "unknown hyper-parameter of silem 'gama'; allowed: learning_rate"),
         ({"method": "ppo", "window": 3}, "unknown hyper-parameter of ppo 'window'"),
         ({"method": "silem-minus", "n_transform_updates": 3}, "of silem-minus"),
@@ -213,3 +216,12 @@ def test_a_humanoid_of_ones_own_takes_the_papers_humanoids_settings(
     bodies.register(humanoid.body("Longarm", "both arms longer", {"left": 1.4, "right": 1.4}))
     for method in ("silem", "tpil", "peng20", "ppo"):
         assert create("Longarm", method).hyper == create("Humanoid", method).hyper
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "", "-x", "a b", "x" * 65, None, 5])
+def test_names_that_become_paths_are_refused(name: Any) -> None:
+    with pytest.raises(SilemError, match="budget must be a name"):
+        dataclasses.replace(BUDGETS["tiny"], name=name)
+    if name:
+        with pytest.raises(SilemError, match="demonstrations"):
+            create("Humanoid", "silem", name)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,3 +41,108 @@ def test_publishing_needs_no_returns(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert entry["sha256"] == files.sha256(tmp_path / "demonstrations" / "clip.npz")
     with pytest.raises(SilemError, match="unknown demonstrations 'dance'; allowed: clip"):
         demos.entry("dance")
+
+
+FEATURES = np.arange(10, dtype=np.float32).reshape(5, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"features": np.full((5, 2), "x")}, "real numbers"),
+        ({"features": FEATURES + 1j}, "real numbers"),
+        ({"features": FEATURES > 3}, "real numbers"),
+        ({"features": np.zeros((5, 0), np.float32)}, "one F > 0"),
+        ({"features": np.full((5, 2), 1e300)}, "NaN or infinity"),
+        ({"features": np.float32(1)}, "do not add up"),
+        ({"lengths": np.array([5.0])}, "do not add up"),
+        ({"lengths": np.array([7, -2])}, "do not add up"),
+        ({"lengths": np.array([], int)}, "do not add up"),
+        (
+            {"lengths": np.array([2**62, 2**62, 2**62, 2**62 + 5])},
+            "do not add up",
+        ),  # overflows to 5
+        ({"returns": np.array(["a"])}, "returns"),
+        ({"returns": np.array([1.0, 2.0])}, "2 returns of 1"),
+        ({"returns": np.array([np.nan])}, "returns"),
+        ({"body": np.zeros(3)}, "no text"),
+        ({"points": np.zeros(())}, "'points' has shape"),
+    ],
+)
+def test_no_damage_of_a_demonstrations_file_is_taken(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "d.npz"
+    Demonstrations((FEATURES,), (1.0,), "HC0").save(path)
+    assert Demonstrations.load(path).n_features == 2
+    files.write_npz(path, files.read_npz(path) | change)
+    with pytest.raises(SilemError, match=rf"d\.npz.*{message}"):
+        Demonstrations.load(path)
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "", "x" * 300, "a\0b"])
+def test_demonstrations_names_stay_in_their_folder(name: str) -> None:
+    with pytest.raises(SilemError, match="demonstrations must be a name"):
+        demos.file_of(name)
+
+
+def test_a_manifest_that_is_none_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for content in ([], {"HC0": 3}):
+        files.write_json(tmp_path / "demonstrations" / demos.MANIFEST, content)
+        with pytest.raises(SilemError, match="no manifest"):
+            demos.entry("HC0")
+
+
+def _die_at(step: int, work: Callable[[], object]) -> None:
+    """Do some work and die, without any cleaning up, at the n-th thing that reaches the disk."""
+    left = [step]
+
+    def deadly(real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            if not left[0]:
+                os._exit(9)
+            left[0] -= 1
+            return real(*arguments, **options)
+
+        return call
+
+    for name in ("open", "fsync", "replace", "ftruncate", "pwrite"):
+        setattr(os, name, deadly(getattr(os, name)))
+    files.open = deadly(open)  # type: ignore[attr-defined]
+    work()
+
+
+@pytest.mark.parametrize("before", [None, "another"])
+def test_wherever_publishing_is_killed_asking_again_mends_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None
+) -> None:
+    there = Demonstrations((FEATURES,), (1.0,), "HC0", "an expert")
+
+    def ask() -> None:
+        with demos.publishing():
+            if not demos.is_published("HC0") or demos.entry("HC0")["expert_run_id"] != "an expert":
+                demos.publish("HC0", there)
+
+    context = multiprocessing.get_context("fork")
+    apart, step, code = 0, 0, 9
+    while code:
+        folder = tmp_path / str(step)
+        monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
+        if before:
+            demos.publish("HC0", Demonstrations((FEATURES + 1,), (1.0,), "HC0", before))
+        process = context.Process(target=_die_at, args=(step, ask))
+        process.start()
+        process.join(60)
+        code = process.exitcode
+        path = demos.file_of("HC0")
+        apart += path.exists() and not demos.is_published("HC0")
+        ask()
+        found, sha = demos.load_published("HC0")
+        assert found.expert_run_id == "an expert" and sha == files.sha256(path)
+        assert sorted(os.listdir(path.parent)) == ["HC0.npz", demos.MANIFEST]
+        step += 1
+    assert code == 0 and step > 8
+    assert apart > 0  # else no kill came between the two writes

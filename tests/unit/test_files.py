@@ -1,12 +1,18 @@
 from __future__ import annotations
 
+import errno
+import fcntl
+import io
 import multiprocessing
 import os
 import pickle
 import resource
 import signal
+import tracemalloc
+import warnings
+import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +123,101 @@ def test_a_flipped_bit_in_an_npz_is_noticed(tmp_path: Path) -> None:
         files.read_npz(path)
 
 
+def zipped(path: Path, kind: int, data: bytes, names: tuple[str, ...] = ("a.npy",)) -> Path:
+    with zipfile.ZipFile(path, "w", kind) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # zipfile warns of one name twice
+        for name in names:
+            archive.writestr(name, data)
+    return path
+
+
+def npy() -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.zeros(4000))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damage_within_a_compressed_npz_is_one_line(kind: int, tmp_path: Path) -> None:
+    path = zipped(tmp_path / "x.npz", kind, npy())
+    assert files.read_npz(path)["a"].shape == (4000,)
+    whole = path.read_bytes()
+    for i in range(len(whole)):
+        path.write_bytes(whole[:i] + bytes([whole[i] ^ 0x55]) + whole[i + 1 :])
+        with suppress(SilemError):  # a date or an attribute is nothing that is read
+            assert files.read_npz(path)["a"].shape == (4000,)
+
+
+def test_an_npz_that_is_encrypted_or_names_an_array_twice_is_refused(tmp_path: Path) -> None:
+    path = zipped(tmp_path / "x.npz", zipfile.ZIP_STORED, npy(), ("a.npy", "a.npy"))
+    with pytest.raises(SilemError, match="one name twice"):
+        files.read_npz(path)
+    data = bytearray(zipped(path, zipfile.ZIP_STORED, npy()).read_bytes())
+    for start in (data.index(b"PK\x03\x04") + 6, data.index(b"PK\x01\x02") + 8):
+        data[start] |= 1  # "encrypted"
+    path.write_bytes(data)
+    with pytest.raises(SilemError, match=r"x\.npz .*encrypted"):
+        files.read_npz(path)
+
+
+def test_a_small_npz_that_unfolds_to_gigabytes_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("a.npy", "w", force_zip64=True) as entry,
+    ):
+        for _ in range(33):
+            entry.write(bytes(1 << 24))
+    assert path.stat().st_size < 4e6
+    tracemalloc.start()
+    with pytest.raises(SilemError, match="more than 512 MiB"):
+        files.read_npz(path)
+    assert tracemalloc.get_traced_memory()[1] < 1e8
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("shape", [(2**62,), (2**40, 2**40), (-1,), (2**31, 2**31, 2**2)])
+def test_an_array_that_claims_to_be_huge_is_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    stream = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    zipped(path, zipfile.ZIP_STORED, stream.getvalue() + bytes(64))
+    with pytest.raises(SilemError, match=r"x\.npz is no readable npz"):
+        files.read_npz(path)
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"a": ' * 100_000, "1" * 5000, "\udcff", "{} {}", ""]
+)
+def test_json_that_is_none_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(SilemError, match=r"x\.json is no valid JSON") as caught:
+        files.read_json(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_csv_round_trip_and_refusals(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("a,b\n1,\n2,3.5\n")
+    table = files.read_csv(path)
+    np.testing.assert_array_equal(table["a"], [1, 2])
+    np.testing.assert_array_equal(table["b"], [np.nan, 3.5])
+    for bad in ("", "a,b\n1\n", "a,a\n1,2\n", "a\nx\n", "a\n\udcff\n", 'a\n"1\n', "a\n1\0\n"):
+        path.write_bytes(bad.encode(errors="surrogateescape"))
+        with pytest.raises(SilemError, match=r"x\.csv is no table of numbers"):
+            files.read_csv(path)
+
+
+@pytest.mark.parametrize("metadata", ["[]", "3", "null", '{"a": 1}'])
+def test_safetensors_with_strange_metadata_are_refused(metadata: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    safetensors.numpy.save_file({"a": np.zeros(2)}, path, metadata={"silem": metadata})
+    with pytest.raises(SilemError, match="no safetensors file of this project"):
+        files.read_tensors(path)
+
+
 class Trap:
     """Unpickling this makes a file."""
 
@@ -174,6 +275,43 @@ def test_a_lock_names_its_holder_and_dies_with_it(tmp_path: Path) -> None:
     with files.lock(path, wait_s=0):
         assert files.is_locked(path)
     assert not files.is_locked(path)
+
+
+def test_a_lock_that_is_no_text_names_nobody(tmp_path: Path) -> None:
+    path = tmp_path / "x.lock"
+    with files.lock(path):
+        path.write_bytes(b"\xff\xfe")
+        with pytest.raises(SilemError, match="is held by"), files.lock(path, wait_s=0):
+            pass
+
+
+def test_another_users_lock_counts_as_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "x.lock"
+    path.touch()
+
+    def refused(*arguments: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refused)  # root may open anything
+    assert files.is_locked(path)
+    with pytest.raises(SilemError, match=r"cannot lock .*Permission denied"), files.lock(path):
+        pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    path = tmp_path / "x.lock"
+    path.touch()
+
+    def unsupported(*arguments: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", unsupported)
+    assert not files.is_locked(path)
+    with pytest.raises(SilemError, match="cannot lock"), files.lock(path):
+        pass
 
 
 def _write_for_ever(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The paper's tables: against values typed by hand, and against the LaTeX source where present."""
+"""The paper's tables: against values typed by hand, and against quotations of its LaTeX source."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from silem import paper
 from silem.util import paths
 from silem.util.errors import SilemError
 
+QUOTES = Path(__file__).parents[1] / "data" / "paper_quotes.tex"
 TEX = paths.REPO.parent / "shared" / "paper" / "silem.tex"
 
 
@@ -133,6 +134,15 @@ def test_table_1_and_the_numbers_in_the_text() -> None:
 # ---------------------------------------------------------------- against the LaTeX source
 
 
+def test_the_quotations_stand_in_the_source() -> None:
+    if not TEX.is_file():
+        pytest.skip(f"the paper's source is not here ({TEX})")
+    source = " ".join(_source(TEX).split())
+    pieces = [" ".join(piece.split()) for piece in _source(QUOTES).split("\n\n") if piece.strip()]
+    assert len(pieces) > 40
+    assert [piece for piece in pieces if piece not in source] == []
+
+
 def _plain(tex: str) -> str:
     """Reduce LaTeX to the words and numbers it prints."""
     tex = re.sub(r"\s*\$\^-\$", "⁻", tex)
@@ -142,6 +152,11 @@ def _plain(tex: str) -> str:
     return " ".join(tex.split())
 
 
+def _source(path: Path) -> str:
+    """Return LaTeX without its comments."""
+    return re.sub(r"(?<!\\)%.*", "", path.read_text(encoding="utf-8"))
+
+
 def _numbers(text: str) -> list[float]:
     found = re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?!\w)", text)
     return [float(number) for number in found]
@@ -149,9 +164,7 @@ def _numbers(text: str) -> list[float]:
 
 @pytest.fixture(scope="module")
 def tex_tables() -> list[dict[str, object]]:
-    if not TEX.is_file():
-        pytest.skip(f"the paper's source is not here ({TEX})")
-    text = re.sub(r"(?<!\\)%.*", "", TEX.read_text(encoding="utf-8"))
+    text = _source(QUOTES)
     found = []
     for block in re.findall(r"\\begin\{table\}(.*?)\\end\{table\}", text, re.DOTALL):
         start = block.index(r"\caption{") + len(r"\caption{")
@@ -210,6 +223,4 @@ def test_numbers_in_sentences_stand_in_their_quotes(name: str) -> None:
         digits = [float(n) for n in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?", entry.quote)]
         digits += [abs(n) for n in digits]  # "2-4 days"
         assert all(float(value) in digits for value in values), (values, digits)
-    if not TEX.is_file():
-        pytest.skip(f"the paper's source is not here ({TEX})")
-    assert entry.quote in _plain(Path(TEX).read_text(encoding="utf-8"))
+    assert entry.quote in _plain(_source(QUOTES))

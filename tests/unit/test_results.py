@@ -13,8 +13,8 @@ import pytest
 import synthetic_records as synthetic
 
 from silem.report import results
-from silem.report.validation import validate
 from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.verify import check
 from silem.util import paths
 from silem.util.errors import SilemError
 
@@ -192,13 +192,13 @@ def test_a_record_that_contradicts_itself_is_refused(
     data: Path, change: Callable[[dict[str, Any]], None], message: str
 ) -> None:
     record = synthetic.write_record(RunConfig.create("HC1", "silem", budget="tiny"))
-    assert validate(record.folder) == record  # as written it is sound
+    assert check(record.folder) == record  # as written it is sound
     path = record.folder / "record.json"
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))
     with pytest.raises(SilemError, match=message):
-        validate(record.folder)
+        check(record.folder)
     with pytest.raises(SilemError, match=message):
         results.load_records("halfcheetah", "tiny")
 
@@ -207,7 +207,7 @@ def test_a_record_in_another_runs_folder_is_refused(data: Path) -> None:
     record = synthetic.write_record(RunConfig.create("HC1", "silem", budget="tiny"))
     moved = record.folder.rename(record.folder.with_name("another"))
     with pytest.raises(SilemError, match="run id"):
-        validate(moved)
+        check(moved)
 
 
 def test_a_curve_that_was_changed_or_lost_is_refused(data: Path) -> None:
@@ -215,13 +215,13 @@ def test_a_curve_that_was_changed_or_lost_is_refused(data: Path) -> None:
     curve = record.folder / "curve.csv"
     curve.write_text(curve.read_text().replace("1,", "2,", 1))
     with pytest.raises(SilemError, match="SHA-256 differs"):
-        validate(record.folder)
+        check(record.folder)
     curve.unlink()
     with pytest.raises(SilemError, match="cannot read"):
-        validate(record.folder)
+        check(record.folder)
 
 
 def test_single_returns_agree_with_their_mean_to_their_rounding(data: Path) -> None:
     record = synthetic.write_record(RunConfig.create("HC1", "ppo", budget="book"))
     assert np.mean(record.evaluation["returns"]) != record.evaluation["return_mean"]
-    validate(record.folder)
+    check(record.folder)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ import pytest
 from silem import bodies
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
-from silem.study import curve, runs, training
+from silem.study import curve, runs, settings, training
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
@@ -117,6 +118,10 @@ def test_what_a_run_leaves(finished: dict[str, RunRecord]) -> None:
         for private in (str(paths.REPO), str(record.folder), socket.gethostname()):
             assert private not in text
     silem = finished["silem"]
+    # Threads aside, a process cannot work longer than it lives.
+    assert 0 < silem.processor_time_s <= silem.wall_time_s + 0.1
+    assert silem.provenance["machine"]["cores"] == os.cpu_count()
+    assert silem.provenance["machine"]["processor"]
     assert silem.evaluation["disc_reward_mean"] > 0
     assert finished["ppo"].evaluation["disc_reward_mean"] is None
     transform = files.read_npz(silem.file(TRANSFORM))
@@ -203,6 +208,68 @@ def interrupted(config: RunConfig, monkeypatch: pytest.MonkeyPatch) -> Path:
     return runs.run_folder(config) / CHECKPOINT
 
 
+def checkpoint(config: RunConfig, iteration: int) -> Checkpoint:
+    """A checkpoint of a run that has learned nothing."""
+    rows = [
+        curve.row(i, i * config.budget.steps_per_iteration, {}) for i in range(1, iteration + 1)
+    ]
+    weights = {"policy/w": np.ones(3, dtype=np.float32)}
+    return Checkpoint(config.run_id, iteration, 1.0, 0.5, ("abc",), "", np.array(rows), weights)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"iteration": 10**9}, "iteration 1000000000"),  # "finished" untrained
+        ({"iteration": 8}, "iteration 8"),  # beyond the budget
+        ({"iteration": 3}, "iteration 3"),  # between two checkpoints
+        ({"iteration": 0}, "iteration 0"),
+        ({"iteration": 2}, "no curve of 2 iterations"),
+        ({"wall_time_s": -1.0}, r"-1\.0 s"),
+        ({"processor_time_s": float("nan")}, "nan s"),
+        ({"curve": np.zeros((4, 12))}, "no curve of 4"),
+        ({"commits": (1,)}, "no text"),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_this_runs_is_refused(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    path, config = tmp_path / CHECKPOINT, small("ppo")
+    checkpoint(config, 4).save(path)
+    assert Checkpoint.load(path, config, "").iteration == 4
+    dataclasses.replace(checkpoint(config, 4), **change).save(path)
+    with pytest.raises(SilemError, match=rf"damaged checkpoint.*{message}.*--force"):
+        Checkpoint.load(path, config, "")
+
+
+def test_any_changed_byte_of_a_checkpoint_is_noticed(tmp_path: Path) -> None:
+    path, config = tmp_path / CHECKPOINT, small("ppo")
+    checkpoint(config, 4).save(path)
+    whole = path.read_bytes()
+    for i in range(0, len(whole), 3):
+        changed = bytearray(whole)
+        changed[i] ^= 1
+        path.write_bytes(changed)
+        with pytest.raises(SilemError, match=CHECKPOINT):
+            Checkpoint.load(path, config, "")
+
+
+def test_a_checkpoint_of_the_version_before_is_taken(tmp_path: Path) -> None:
+    """It has neither a checksum nor processor time, which then stays unknown."""
+    path, config = tmp_path / CHECKPOINT, small("ppo")
+    new = checkpoint(config, 4)
+    new.save(path)
+    arrays, metadata = files.read_tensors(path)
+    old = {k: v for k, v in metadata.items() if k not in ("sha256", "processor_time_s")}
+    files.write_tensors(path, arrays, old)
+    found = Checkpoint.load(path, config, "")
+    assert (found.iteration, found.commits, found.processor_time_s) == (4, ("abc",), None)
+    np.testing.assert_array_equal(found.model["policy/w"], new.model["policy/w"])
+    files.write_tensors(path, arrays, old | {"sha255": "0"})
+    with pytest.raises(SilemError, match="unknown sha255"):
+        Checkpoint.load(path, config, "")
+
+
 def test_a_damaged_or_foreign_checkpoint_is_refused_and_kept(
     data: Path, finished: dict[str, RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -243,8 +310,14 @@ def test_unusable_demonstrations_stop_a_run_before_it_starts(data: Path) -> None
     with pytest.raises(SilemError, match="5 features"):
         runs.run(small("silem"), progress=False)
     write_demonstrations()
-    path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(SilemError, match=r"HC0\.npz"):
+    whole = path.read_bytes()
+    walks = Demonstrations.load("HC0")
+    for other in (lambda: path.write_bytes(whole[:-5]), lambda: walks.first(1).save(path)):
+        other()  # the second is sound in itself
+        with pytest.raises(SilemError, match=r"HC0\.npz is not the file that manifest\.json"):
+            runs.run(small("silem"), progress=False)
+    demonstrations.publish("HC0", dataclasses.replace(walks, body="HC1"))
+    with pytest.raises(SilemError, match="demonstrations of 'HC1', another body"):
         runs.run(small("silem"), progress=False)
     path.unlink()
     with pytest.raises(SilemError, match=r"no demonstrations of HC0.*python -m silem"):
@@ -252,8 +325,14 @@ def test_unusable_demonstrations_stop_a_run_before_it_starts(data: Path) -> None
     assert runs.state(small("silem")) == "missing"
 
 
-def test_evidence_is_published_and_found_without_the_working_files(data: Path) -> None:
+def test_evidence_is_published_and_found_without_the_working_files(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = small("ppo", n_iterations=2, name="book")
+    with pytest.raises(SilemError, match=r"'book' has another n_envs.*give it a name of its own"):
+        runs.run(config, progress=False)
+    assert not paths.runs_dir().exists()
+    monkeypatch.setitem(settings.BUDGETS, "book", config.budget)
     record = runs.run(config, progress=False)
     published = paths.results_dir("halfcheetah") / config.run_id
     assert sorted(os.listdir(published)) == sorted([CURVE, POLICY, RECORD])
@@ -287,19 +366,25 @@ def test_demonstrations_of_an_expert(
     assert [array.shape for array in made.features] == [(1001, bodies.get("HC0").observation_size)]
     before = path.stat().st_mtime_ns
     assert demonstrate(finished["ppo"], 1).stat().st_mtime_ns == before  # nothing to do
+    manifest = path.with_name(demonstrations.MANIFEST)
+    whole = manifest.read_text()
+    manifest.unlink()  # as if killed between the two writes
+    (path.parent / ".HC0.npz.1.tmp").touch()
+    demonstrate(finished["ppo"], 1)
+    assert manifest.read_text() == whole
+    assert not files.leftovers(path.parent)
     with pytest.raises(SilemError, match="no expert's run"):
         demonstrate(finished["silem"], 1)
 
 
 def test_a_diverged_training_does_not_replace_its_checkpoint(tmp_path: Path) -> None:
-    path = tmp_path / CHECKPOINT
-    weights = np.ones(3, dtype=np.float32)
-    good = Checkpoint("x", 2, 1.0, (), "", np.zeros((2, len(curve.COLUMNS))), {"policy/w": weights})
+    path, config = tmp_path / CHECKPOINT, small("ppo")
+    good = checkpoint(config, 2)
     good.save(path)
-    bad = Checkpoint("x", 4, 1.0, (), "", np.zeros((4, 12)), {"policy/w": weights * np.nan})
-    with pytest.raises(SilemError, match=r"x diverged before iteration 4: policy/w"):
+    bad = dataclasses.replace(checkpoint(config, 4), model={"policy/w": np.full(3, np.nan)})
+    with pytest.raises(SilemError, match=r"diverged before iteration 4: policy/w"):
         bad.save(path)
-    assert Checkpoint.load(path, "x", "").iteration == 2
+    assert Checkpoint.load(path, config, "").iteration == 2
 
 
 def test_a_published_curve_averages_neighbouring_iterations() -> None:
@@ -314,7 +399,35 @@ def test_a_published_curve_averages_neighbouring_iterations() -> None:
     assert curve.to_csv(np.full((1, 12), 123456.789)).splitlines()[1].endswith(",1.2346e+05")
 
 
-def test_a_record_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / RECORD).write_text(json.dumps({"run_id": "x"}))
-    with pytest.raises(SilemError, match="is no run record"):
-        RunRecord.load(tmp_path)
+def test_a_record_that_is_none_is_refused(tmp_path: Path, finished: dict[str, RunRecord]) -> None:
+    content = json.loads((finished["ppo"].folder / RECORD).read_text())
+    older = {key: value for key, value in content.items() if key != "processor_time_s"}
+    (tmp_path / RECORD).write_text(json.dumps(older))
+    record = RunRecord.load(tmp_path)
+    record.save(tmp_path)
+    assert json.loads((tmp_path / RECORD).read_text()) == older
+    for bad in ({"run_id": "x"}, [], content | {"files": []}, content | {"extra": 1}):
+        (tmp_path / RECORD).write_text(json.dumps(bad))
+        with pytest.raises(SilemError, match="is no run record"):
+            RunRecord.load(tmp_path)
+
+
+def test_leftovers_of_a_killed_run_go_with_the_next_call(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = small("random", name="book")
+    monkeypatch.setitem(settings.BUDGETS, "book", config.budget)
+    folders = (runs.run_folder(config), paths.results_dir(config.study) / config.run_id)
+    for _ in range(2):  # before the run is finished, and after
+        for folder in folders:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / ".curve.csv.123.tmp").touch()
+        runs.run(config, progress=False)
+        assert not any(files.leftovers(folder) for folder in folders)
+
+
+@pytest.mark.parametrize("run_id", ["*", "../*", "", ".", "a/b", "x" * 300, "x\0", None, 5])
+def test_what_can_be_no_runs_name_is_refused(data: Path, run_id: Any) -> None:
+    runs.run(small("random"), progress=False)
+    with pytest.raises(SilemError, match="run id must be a name"):
+        runs.find(run_id)

@@ -1,0 +1,158 @@
+"""Kill runs at random with ``kill -9``, and compare what is left with what unharmed ones leave.
+
+``python -m benchmarks.kills --kills 100`` makes an expert, its demonstrations and an imitator from
+them, again and again, at a tiny budget whose runs are published as evidence. The process at work
+is killed at a random moment, or within a random write to the disk, and started again until it ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import multiprocessing
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from multiprocessing.sharedctypes import Synchronized
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from silem.motion import demonstrations as demos
+from silem.study import demonstrate as recording
+from silem.study import runs
+from silem.study.checkpoint import CHECKPOINT
+from silem.study.config import RunConfig
+from silem.study.record import RECORD
+from silem.study.settings import BUDGETS, Budget
+from silem.util import files, paths
+
+PHASES = ("starting", "training", "evaluation", "publishing", "recording demonstrations")
+SMALL: dict[str, Any] = {"minibatch_size": 32, "n_epochs": 2}
+Phase = Any  # a shared whole number, which typeshed has no name for at run time
+
+
+def work(phase: Phase) -> None:
+    """Make everything that is not there yet."""
+    expert = runs.run(RunConfig.create("HC0", "ppo", None, "book", 0, **SMALL), progress=False)
+    phase.value = PHASES.index("recording demonstrations")
+    recording.demonstrate(expert, 2)
+    phase.value = 0
+    imitator = RunConfig.create("HC0", "silem", None, "book", 0, n_trajectories=2, **SMALL)
+    runs.run(imitator, progress=False)
+
+
+def told(phase: Phase, index: int, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that says in which phase it is."""
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        phase.value = index
+        return function(*arguments, **options)
+
+    return call
+
+
+def worker(phase: Phase, deadly_write: int | None) -> None:
+    """Work in a process of its own; die within the given write to the disk, if any."""
+    for index, name in ((1, "train"), (2, "evaluate"), (3, "_record")):
+        setattr(runs, name, told(phase, index, getattr(runs, name)))
+    left = deadly_write
+
+    def deadly(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            nonlocal left
+            if left is not None:
+                left -= 1
+                if left < 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+            return function(*arguments, **options)
+
+        return call
+
+    for name in ("fsync", "replace"):
+        setattr(os, name, deadly(getattr(os, name)))
+    work(phase)
+
+
+def outcome() -> dict[str, Any]:
+    """Return all that must not depend on kills: every file's name, and what it holds."""
+    found: dict[str, Any] = {}
+    for path in sorted(paths.data_dir().rglob("*")):
+        name = str(path.relative_to(paths.data_dir()))
+        if path.name == RECORD:
+            content = files.read_json(path)
+            found[name] = [content[key] for key in ("run_id", "evaluation", "config", "files")]
+        elif path.name == CHECKPOINT:
+            arrays, _ = files.read_tensors(path)
+            found[name] = {key: array.tobytes() for key, array in arrays.items()}
+        elif path.is_file():
+            lock = path.suffix == ".lock"  # holds the last process's number
+            found[name] = "" if lock else hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def one_round(
+    rng: np.random.Generator, longest_s: float, n_writes: int, most: int
+) -> tuple[dict[str, Any], Counter[str]]:
+    """Kill and go on until everything is made; return what is there and when the kills came."""
+    kills: Counter[str] = Counter()
+    context = multiprocessing.get_context("fork")
+    while True:
+        spared = kills.total() >= most
+        in_a_write = not spared and rng.random() < 0.5
+        phase: Synchronized[int] = context.Value("i", 0)
+        process = context.Process(
+            target=worker, args=(phase, int(rng.integers(n_writes)) if in_a_write else None)
+        )
+        process.start()
+        process.join(None if spared or in_a_write else rng.uniform(0, longest_s))
+        process.kill()
+        process.join()
+        if process.exitcode == 0:
+            return outcome(), kills
+        if process.exitcode != -signal.SIGKILL:
+            raise SystemExit(f"a worker failed with exit code {process.exitcode}")
+        kills[PHASES[phase.value]] += 1
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--kills", type=int, default=100, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    options = parser.parse_args()
+    BUDGETS["book"] = Budget("book", 2, 128, 6, 1, 2, 2)
+    rng = np.random.default_rng(options.seed)
+    kills: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["SILEM_DATA_DIR"] = folder
+        began = time.perf_counter()
+        reference, _ = one_round(rng, 0.0, 1, 0)
+        longest_s, n_rounds = time.perf_counter() - began, 0
+        # Every write reaches fsync twice and replace once. Half of what an unharmed round takes:
+        # later ones of a round have less to do.
+        longest_s, n_writes = longest_s / 2, 3 * len(reference) // 2
+        while kills.total() < options.kills:
+            shutil.rmtree(folder)
+            Path(folder).mkdir()
+            found, came = one_round(
+                rng, longest_s, n_writes, min(20, options.kills - kills.total())
+            )
+            kills += came
+            n_rounds += 1
+            if found != reference:
+                names = [k for k in reference | found if reference.get(k) != found.get(k)]
+                raise SystemExit(f"after {dict(came)} these differ: {', '.join(names)}")
+            print(f"{kills.total()} kills, {n_rounds} rounds", flush=True)
+        assert demos.is_published("HC0")
+    when = ", ".join(f"{kills[name]} {name}" for name in PHASES)
+    print(f"{kills.total()} kills in {n_rounds} rounds ({when}): same bits, nothing left over")
+
+
+if __name__ == "__main__":
+    main()

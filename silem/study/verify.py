@@ -1,0 +1,305 @@
+"""Is a record what it says it is? What it holds is checked, and its policy is evaluated anew."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from silem.motion import demonstrations as demos
+from silem.study import curve
+from silem.study.config import MAX_RUN_ID, RunConfig
+from silem.study.record import (
+    CURVE,
+    PACKAGES,
+    POLICY,
+    RECORD,
+    TRANSFORM,
+    RunRecord,
+    git,
+    provenance,
+)
+from silem.util import files, paths
+from silem.util.errors import SilemError, check_name, reason
+
+EXACT, WITHIN, SOUND, NOT = "exact", "within tolerance", "sound", "not"
+N_EPISODES = 8
+MAX_STEPS = 1000  # of an episode
+FASTEST_M_S = 20.0
+TOLERANCE = 5.0
+"""On another processor a policy meets other episodes; the mean return of those evaluated anew may
+then differ from the recorded one by so many standard errors of the difference."""
+
+_ROUNDING = 1e-3  # single returns are recorded with three digits after the point
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one record, and why: `EXACT`, `WITHIN`, `SOUND` or `NOT`."""
+
+    name: str
+    outcome: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.outcome} ({self.why})"
+
+
+# ---------------------------------------------------------------- what a record holds
+
+
+def check(folder: Path) -> RunRecord:
+    """Load one record and check that it is whole and agrees with itself.
+
+    Checked are its configuration (through the one strict door), that the run id is the
+    configuration's and the folder's name, its counts against the configuration, its means and
+    deviations against the single returns, that every number lies where it can, and every file
+    beside it: its SHA-256, whose it is, and that it can be read.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The record.
+
+    Raises:
+        SilemError: Naming the folder and what is wrong.
+    """
+    record = RunRecord.load(folder)
+    try:
+        config = record.run_config()
+        if not config.run_id == record.run_id == folder.name:
+            raise SilemError(
+                f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
+            )
+        _check_finite({"evaluation": record.evaluation, "training": record.training})
+        _check_counts(record, config)
+        _check_ranges(record)
+        _check_files(record, config)
+    except SilemError as error:
+        raise SilemError(f"{folder}: {error}") from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise SilemError(f"{folder}: the record lacks or misstates {reason(error)}") from error
+    return record
+
+
+def _check_finite(value: Any, where: str = "record") -> None:
+    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise SilemError(f"{where} is not finite")
+    if isinstance(value, list):
+        value = dict(enumerate(value))
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            _check_finite(entry, f"{where}.{key}")
+
+
+def _check_counts(record: RunRecord, config: RunConfig) -> None:
+    evaluation, budget = record.evaluation, config.budget
+    returns = evaluation["returns"]
+    if not len(returns) == evaluation["n_episodes"] == budget.n_eval_episodes:
+        raise SilemError(
+            f"{len(returns)} returns of {evaluation['n_episodes']} episodes; its budget has"
+            f" {budget.n_eval_episodes}"
+        )
+    n_steps = budget.n_steps if config.method != "random" else 0
+    if record.training["n_steps"] != n_steps:
+        raise SilemError(f"{record.training['n_steps']} steps of training; its budget: {n_steps}")
+    for name, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
+        if abs(float(found) - evaluation[f"return_{name}"]) > _ROUNDING:
+            raise SilemError(f"return_{name} is not the {name} of the episodes' returns")
+
+
+def _check_ranges(record: RunRecord) -> None:
+    evaluation, speed_m_s = record.evaluation, record.evaluation["speed_m_s"]
+    rate, processor_s = record.training["steps_per_s"], record.processor_time_s
+    # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
+    highest = MAX_STEPS * (1 + max(0.0, speed_m_s))
+    for name, value, low, high in (
+        ("upright", evaluation["upright"], 0.0, 1.0),
+        ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S),
+        ("return_mean", evaluation["return_mean"], -math.inf, highest),
+        ("wall_time_s", record.wall_time_s, 0.0, math.inf),
+        ("processor_time_s", 0.0 if processor_s is None else processor_s, 0.0, math.inf),
+        ("steps_per_s", 0.0 if rate is None else rate, 0.0, math.inf),
+    ):
+        if not low <= value <= high or value == math.inf:
+            raise SilemError(f"{name} is {value:g}; it can be {low:g} to {high:g}")
+    if record.status != "finished":
+        raise SilemError(f"status is {record.status!r}; a record is of a finished run")
+    if (record.demonstrations_sha256 is None) != (not record.config["demonstrations"]):
+        raise SilemError(f"demonstrations_sha256 is {record.demonstrations_sha256!r}")
+
+
+def _check_files(record: RunRecord, config: RunConfig) -> None:
+    expected = [] if config.method == "random" else [CURVE, POLICY]
+    expected += [TRANSFORM] if config.transform == "affine" else []
+    if sorted(record.files) != sorted(expected):
+        raise SilemError(f"it has the files {sorted(record.files)}; expected: {sorted(expected)}")
+    if POLICY in expected:
+        _, about = files.read_tensors(record.file(POLICY))
+        if about.get("run_id") != record.run_id:
+            raise SilemError(f"{POLICY} is the policy of {about.get('run_id')!r}")
+        _check_curve(files.read_csv(record.file(CURVE)), config)
+    if TRANSFORM in expected:
+        arrays = files.read_npz(record.file(TRANSFORM))
+        shapes = {name: array.shape for name, array in arrays.items()}
+        if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
+            raise SilemError(f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each")
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise SilemError(f"{TRANSFORM} holds NaN or infinity")
+
+
+def _check_curve(columns: dict[str, np.ndarray], config: RunConfig) -> None:
+    if list(columns) != [name for name in curve.COLUMNS if name in columns]:
+        raise SilemError(f"{CURVE} has the columns {', '.join(columns)}")
+    iterations, budget = columns["iteration"], config.budget
+    steps = iterations * budget.steps_per_iteration
+    if (
+        not 1 <= len(iterations) <= curve.MAX_ROWS
+        or iterations[-1] != budget.n_iterations
+        or not (np.diff(iterations, prepend=0) > 0).all()
+        or not np.array_equal(columns["timesteps"], steps)
+    ):
+        raise SilemError(f"{CURVE} is no curve of {budget.n_iterations} iterations")
+
+
+# ---------------------------------------------------------------- where it came from
+
+
+def check_source(record: RunRecord) -> None:
+    """Check what a record rests on: its demonstrations, and for evidence its commits.
+
+    Raises:
+        SilemError: The demonstrations are not those published now, or a commit is none of this
+            repository's (where there is git, and the whole history).
+    """
+    config = record.run_config()
+    if config.demonstrations:
+        there, sha = demos.load_published(config.demonstrations)
+        if sha != record.demonstrations_sha256:
+            raise SilemError(f"{record.run_id} was made with other demonstrations")
+        there.first(config.hyper.n_trajectories)
+    source = record.provenance
+    if config.budget.is_evidence and (history := _history()) is not None:
+        for commit in (source.get("git_commit"), *(source.get("earlier_commits") or ())):
+            if commit not in history:
+                raise SilemError(f"{record.run_id} names commit {commit}, which is not in history")
+
+
+@cache
+def _history() -> frozenset[str] | None:
+    """Return every commit of the repository, or None where there is no whole history."""
+    if git("rev-parse", "--is-shallow-repository") != "false":
+        return None
+    return frozenset((git("rev-list", "--all") or "").split())
+
+
+# ---------------------------------------------------------------- what its policy does
+
+
+def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
+    """Check a record and all it rests on, and evaluate its policy anew on its first episodes.
+
+    Evaluations have fixed seeds and step up to 8 environments at once, each with its number of
+    episodes fixed beforehand. So the same batch, stopped after `n_episodes`, meets the recorded
+    episodes in the recorded order.
+
+    Args:
+        folder: The run's folder.
+        n_episodes: How many episodes; 0 leaves the policy alone. All of them also verify speed and
+            share upright.
+
+    Returns:
+        `EXACT` if every return is the recorded one. `WITHIN` if they are not, the record's
+        processor or libraries are not those here (or it does not say), and the mean is within
+        `TOLERANCE`. `SOUND` if no policy was evaluated. Else `NOT`.
+    """
+    try:
+        record = check(folder)
+        check_source(record)
+        if n_episodes < 1:
+            return Verdict(record.run_id, SOUND, "its policy was not evaluated")
+        return _evaluated(record, min(n_episodes, record.evaluation["n_episodes"]))
+    except SilemError as error:
+        return Verdict(folder.name, NOT, str(error))
+
+
+def _evaluated(record: RunRecord, n: int) -> Verdict:
+    import torch  # what follows needs physics and networks; what precedes does not
+
+    from silem.study.evaluate import EVALUATION_SEED, episodes
+    from silem.study.policies import load_policy
+
+    torch.set_num_threads(1)
+    evaluation, learner = record.evaluation, record.run_config().learner
+    every = episodes(load_policy(record), learner, evaluation["n_episodes"], EVALUATION_SEED)
+    there = list(itertools.islice(every, n))
+    every.close()
+    recorded = np.array(evaluation["returns"][:n])
+    returns = np.array([round(episode.episode_return, 3) for episode in there])
+    n_equal = int((returns == recorded).sum())
+    same = n_equal == n
+    if n == evaluation["n_episodes"]:
+        for name in ("speed_m_s", "upright"):
+            found = float(np.mean([getattr(episode, name) for episode in there]))
+            same = same and math.isclose(found, evaluation[name], abs_tol=1e-9)
+    difference = abs(float(returns.mean() - recorded.mean()))
+    spread = max(evaluation["return_std"], float(returns.std()))
+    bound = TOLERANCE * spread * math.sqrt(2 / n)
+    why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
+    if same:
+        return Verdict(record.run_id, EXACT, why)
+    if _made_here(record):
+        return Verdict(record.run_id, NOT, f"{why}, though processor and libraries are the same")
+    outcome = WITHIN if difference <= bound else NOT
+    return Verdict(record.run_id, outcome, f"{why}, allowed {bound:.1f} apart")
+
+
+def _made_here(record: RunRecord) -> bool:
+    """Tell whether this processor, these kernels and these libraries evaluated a record."""
+    here, there = provenance(), record.provenance
+    keys = ("processor", "kernels")
+    machines = [source.get("machine") or {} for source in (here, there)]
+    return all(machines[0].get(key) == machines[1].get(key) for key in keys) and all(
+        here["packages"][name] == there["packages"].get(name) for name in PACKAGES
+    )
+
+
+def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterator[Verdict]:
+    """Verify one run, or a study's published records, or all of them and the demonstrations.
+
+    Args:
+        name: A run's id or a study; None means everything that is published.
+        n_episodes: As for `verify`.
+
+    Raises:
+        SilemError: There is nothing of this name.
+    """
+    results = paths.data_dir() / "results"
+    if name is not None:
+        check_name("run id or study", name, MAX_RUN_ID)
+    elif demos.manifest():
+        yield from map(_verify_demonstrations, demos.manifest())
+    records = sorted(results.glob(f"{name or '*'}/*/{RECORD}"))
+    records = records or sorted(results.glob(f"*/{name}/{RECORD}"))
+    records = records or sorted(paths.runs_dir().glob(f"*/{name}/{RECORD}"))
+    if name is not None and not records:
+        raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
+    for path in records:
+        yield verify(path.parent, n_episodes)
+
+
+def _verify_demonstrations(name: str) -> Verdict:
+    label = f"demonstrations {name}"
+    try:
+        there, _ = demos.load_published(name)
+    except SilemError as error:
+        return Verdict(label, NOT, str(error))
+    return Verdict(label, SOUND, f"{len(there.features)} trajectories, SHA-256 as published")
