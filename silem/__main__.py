@@ -182,13 +182,13 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
-    from silem.report import rendering, video  # no other command needs drawing libraries
+    from silem.report import film  # no other command needs drawing libraries
 
     record = _finished(options.run_id)
     policy = load_policy(record)
     learner = record.run_config().learner
-    clip = rendering.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
-    video.write(options.out, clip)
+    clip = film.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
+    film.write(options.out, clip)
     print(options.out)
 
 

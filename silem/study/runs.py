@@ -150,6 +150,8 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     task = task_options(config)
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
+    if demonstrations is not None:
+        source["expert_run_id"] = demonstrations.expert_run_id
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.spent)
 
@@ -173,7 +175,7 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
     files.write_text(folder / CURVE, curve.to_csv(values))
-    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
+    model.export_policy(folder / POLICY, run_id=run_id)
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
         transform = model.transform_net
         arrays = {"A": transform.scale, "b": transform.offset}

@@ -74,8 +74,9 @@ def make_env(config: RunConfig) -> VecEnv:
 
 
 def unclipped(space: spaces.Space[Any]) -> spaces.Box:
-    """Return a space of actions without bounds, to which a policy's actions are not clipped."""
-    return spaces.Box(-np.inf, np.inf, space.shape, np.float32)
+    """Return a space of actions whose bounds, finite for stable-baselines3, none ever reaches."""
+    bound = float(np.finfo(np.float32).max)
+    return spaces.Box(-bound, bound, space.shape, np.float32)
 
 
 def arguments(config: RunConfig) -> dict[str, Any]:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import synthetic_records as synthetic
-from conftest import NOTEBOOKS, Execute, add_untrained_policy, glue_roles, output, said
-from test_execution import words
+from conftest import Execute, add_untrained_policy, glue_roles, output, path_of, said, words
 from test_structure import prose
 
-from silem.report import claims, results, walking
-from silem.report.rendering import why_no_pictures
+from silem.report import claims, results
+from silem.report.film import why_no_pictures
+from silem.report.pages import walking
 from silem.study.config import RunConfig
 from silem.study.studies import cells
 
@@ -53,8 +53,7 @@ def data_dir(humanoids: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_page_types_no_results() -> None:
-    (path,) = [path for path in NOTEBOOKS if path.stem == NAME]
-    assert re.findall(r"\d+\.\d+|\b\d{3,}\b", prose(path)) == []
+    assert re.findall(r"\d+\.\d+|\b\d{3,}\b", prose(path_of(NAME))) == []
 
 
 def test_walking(execute: Execute) -> None:
