@@ -30,13 +30,13 @@ $(STAMP): environment.txt pyproject.toml .ci/debian-packages
 	@touch $@
 
 book: $(STAMP) ## execute the notebooks and build the book: _build/html/index.html
-	$(BIN)/python -m silem.report.bookbuild --workers $(WORKERS)
+	$(BIN)/python -m silem.report.build --workers $(WORKERS)
 
 pages: $(STAMP) ## rebuild the book from the notebooks executed last time (for prose work)
-	$(BIN)/python -m silem.report.bookbuild --workers $(WORKERS) --reuse-executed
+	$(BIN)/python -m silem.report.build --workers $(WORKERS) --reuse-executed
 
 test: $(STAMP) ## run the tests, notebooks and built book included
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --nbmake --nbmake-timeout=300 tests notebooks
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup tests
 
 check: $(STAMP) ## style, types, spelling, and notebooks without outputs
 	$(BIN)/ruff check .
@@ -51,7 +51,7 @@ format: $(STAMP) ## rewrite the code as `make check` wants it
 	$(BIN)/ruff format .
 
 figures: $(STAMP) ## redraw book/figures from the committed records
-	$(BIN)/python -m silem.report.bookfigures
+	$(BIN)/python -m silem.report.build --figures
 
 clean: ## remove what was built; the environment, the records and the runs stay
 	rm -rf _build .pytest_cache .mypy_cache .ruff_cache *.egg-info

@@ -17,16 +17,14 @@ from matplotlib.figure import Figure
 from myst_nb import glue
 from pandas.io.formats.style import Styler
 
+from silem.report import film as films
 from silem.report import results, style, tables
+from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
 from silem.report.parameters import literal_assignments, parameters
-from silem.report.rendering import rollout, why_no_pictures
-from silem.report.video import Clip, encode_mp4, encode_png, side_by_side
 from silem.study.config import TRIAL_SEEDS
-from silem.study.policies import load_policy
-from silem.study.record import POLICY
 
 __all__ = [
-    "film", "literal_assignments", "parameters", "play", "play_first_trials", "say", "show",
+    "film", "literal_assignments", "note", "parameters", "play", "play_first_trials", "say", "show",
     "show_picture", "table", "text",
 ]  # fmt: skip
 
@@ -73,7 +71,7 @@ def play(clip: Clip | None, caption: str) -> None:
         caption: What it shows, as plain text.
     """
     if clip is None:
-        return _note(f"No video ({caption}): no run with a policy has been published yet.")
+        return note(f"No video ({caption}): no run with a policy has been published yet.")
     height, width = clip.frames.shape[1:3]
     poster = base64.b64encode(encode_png(clip.frames[0])).decode()
     video = base64.b64encode(encode_mp4(clip)).decode()
@@ -93,11 +91,11 @@ def film(make: Callable[[], Clip], caption: str) -> None:
     """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead.
 
     Args:
-        make: Makes the clip, e.g. ``lambda: rendering.rollout("Atlas")``.
+        make: Makes the clip, e.g. ``lambda: film.rollout("Atlas")``.
         caption: What it shows, as plain text.
     """
     if why := why_no_pictures("Humanoid"):
-        _note(f"No video ({caption}): {why}")
+        note(f"No video ({caption}): {why}")
     else:
         play(make(), caption)
 
@@ -116,26 +114,25 @@ def play_first_trials(
         body: The body.
         duration_s: Simulated time to film, seconds.
     """
-    clips = {}
+    chosen = {}
     for method in methods:
         label = style.method(method, results.original_body(records)).label
         of_cell = (records["method"] == method) & (records["body"] == body)
         first = records[of_cell & (records["seed"] == TRIAL_SEEDS[0])]
         record = results.find(first["run_id"].iloc[0]) if len(first) else None
-        if record is None or POLICY not in record.files:
-            _note(f"No policy of {label} on {body} has been published at this budget yet.")
+        if record is None:
+            note(f"No policy of {label} on {body} has been published at this budget yet.")
             continue
         if first["stand_in"].iloc[0]:
             label += f", {first['n_iterations'].iloc[0]:,} iterations"
         if why := why_no_pictures(body):
-            _note(f"No video of {label} on {body}: {why}")
+            note(f"No video of {label} on {body}: {why}")
             continue
-        policy, learner = load_policy(record), record.run_config().learner
-        clips[label] = rollout(learner, policy, duration_s=duration_s)
-    if clips:
-        labels = list(clips)
-        clip = side_by_side(list(clips.values()), labels) if len(clips) > 1 else clips[labels[0]]
-        play(clip, f"{body}, first trial, in real time: {' | '.join(labels)}")
+        chosen[label] = record
+    if chosen:
+        clips = films.of_runs(chosen, duration_s)
+        text = f"{body}, first trial, in real time: {' | '.join(clips)}"
+        play(films.grid(clips), text)
 
 
 def text(words: str) -> None:
@@ -143,7 +140,7 @@ def text(words: str) -> None:
     _display(Markdown(words))  # type: ignore[no-untyped-call]
 
 
-def _note(text: str) -> None:
+def note(text: str) -> None:
     """Say on the page what is not there."""
     _display_html(f"<p><em>{html.escape(text)}</em></p>")
 

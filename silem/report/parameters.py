@@ -27,7 +27,7 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
         p = parameters(globals(), body=bodies.names(), budget=list(BUDGETS), seed=int)
 
-    Inside Jupyter, papermill and nbmake, the names checked are those assigned by the last cells
+    Inside Jupyter and papermill, the names checked are those assigned by the last cells
     that held nothing but assignments of literals: the ``parameters`` cell and the one papermill
     injects after it. Variables of other cells are therefore no parameters, and the cell can be run
     again at any time. A mapping that no notebook stands behind is checked whole.
@@ -44,25 +44,21 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
         SilemError: Some parameter is unknown, missing, of a wrong type, not finite, or not one
             of the strings allowed. The message names each and lists what is allowed.
     """
-    given = _given_names(namespace)
-    problems = [f"unknown parameter {name!r}" for name in given if name not in schema]
-    values = {}
-    for name, allowed in schema.items():
-        if name not in namespace:
-            problems.append(f"parameter {name!r} is missing")
-            continue
-        values[name] = namespace[name]
-        if not _conforms(values[name], allowed):
-            problems.append(f"{name} = {values[name]!r} is not {_describe(allowed)}")
-        elif allowed is float:
-            values[name] = float(values[name])
+    problems = [f"unknown parameter {n!r}" for n in _given(namespace) if n not in schema]
+    problems += [f"parameter {name!r} is missing" for name in schema if name not in namespace]
+    values = {name: namespace[name] for name in schema if name in namespace}
+    for name, value in values.items():
+        if not _conforms(value, schema[name]):
+            problems.append(f"{name} = {value!r} is not {_describe(schema[name])}")
+        elif schema[name] is float:
+            values[name] = float(value)
     if problems:
         listing = "; ".join(f"{name}: {_describe(allowed)}" for name, allowed in schema.items())
         raise SilemError(f"{'; '.join(problems)}. Allowed: {listing}")
     return SimpleNamespace(**values)
 
 
-def _given_names(namespace: Mapping[str, Any]) -> list[str]:
+def _given(namespace: Mapping[str, Any]) -> list[str]:
     """Return the names set as parameters: in a notebook, by its last literal-only cells."""
     if "get_ipython" not in namespace:
         return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
@@ -80,16 +76,14 @@ def literal_assignments(source: str) -> list[str]:
         return []
     names = []
     for statement in statements:
-        if not isinstance(statement, ast.Assign | ast.AnnAssign):
-            return []
-        if not _is_literal(statement.value):
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or not _literal(statement.value):
             return []
         targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
         names += [target.id for target in targets if isinstance(target, ast.Name)]
     return names
 
 
-def _is_literal(node: ast.expr | None) -> bool:
+def _literal(node: ast.expr | None) -> bool:
     """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
         return all(isinstance(argument, ast.Constant) for argument in node.args)

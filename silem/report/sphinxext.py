@@ -11,20 +11,18 @@ A page that names a number takes it from where the code takes it, so that the tw
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective, SphinxRole
+from sphinx.util.docutils import SphinxDirective
 
 from silem import paper
-from silem.paper.types import PaperTable
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, of_family
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, choose
 
-Row = Sequence[str]
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -43,159 +41,122 @@ def as_text(value: Any) -> str:
     return power if digits == "1" else f"{digits} × {power}"
 
 
-def layers(sizes: Sequence[int]) -> str:
-    """Write layer sizes, e.g. ``3 × 128``."""
-    equal = len(sizes) > 1 and len(set(sizes)) == 1
-    return f"{len(sizes)} × {sizes[0]}" if equal else as_text(sizes)
+def layers(value: Any) -> str:
+    """Write layer sizes, e.g. ``3 × 128``, and anything else as text."""
+    equal = isinstance(value, list | tuple) and len(value) > 1 and len(set(value)) == 1
+    return f"{len(value)} × {value[0]}" if equal else as_text(value)
 
 
-class PaperNumberRole(SphinxRole):
-    """``{paper-number}`name` ``, or ``name.1`` for the second entry of a list."""
+# ---------------------------------------------------------------- numbers
 
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        """Return the number as an abbreviation whose explanation names the source."""
-        name, _, index = self.text.partition(".")
+
+def paper_number(name: str) -> tuple[str, str]:
+    """Return a number of the paper, ``name.1`` for a list's second entry, and its source."""
+    key, _, index = name.partition(".")
+    value, about = paper.number(key), paper.numbers()[key]
+    text = as_text(value[int(index)]) if index else layers(value)
+    return text, f"{about.meaning} ({about.where})"
+
+
+def setting(name: str) -> tuple[str, str]:
+    """Return the default of a field of `HyperParameters`; it needs no source."""
+    defaults = dataclasses.asdict(HyperParameters())
+    return layers(defaults[choose("setting", name, defaults)]), ""
+
+
+def role(read: Callable[[str], tuple[str, str]]) -> Any:
+    """Return a role that writes what `read` finds by name, its source shown on hovering."""
+
+    def write(
+        name: str, rawtext: str, text: str, lineno: int, inliner: Any, *_: Any, **__: Any
+    ) -> tuple[list[nodes.Node], list[nodes.system_message]]:
         try:
-            value = paper.number(name)
+            shown, source = read(text)
         except SilemError as error:
-            return [], [self.inliner.reporter.error(str(error), line=self.lineno)]
-        entry = value[int(index)] if index else value
-        text = layers(entry) if isinstance(entry, list) else as_text(entry)
-        source = f"{paper.numbers()[name].meaning} ({paper.numbers()[name].where})"
-        return [nodes.abbreviation(self.rawtext, text, explanation=source)], []
+            return [], [inliner.reporter.error(str(error), line=lineno)]
+        if not source:
+            return [nodes.Text(shown)], []
+        return [nodes.abbreviation(rawtext, shown, explanation=source)], []
+
+    return write
 
 
-class SettingRole(SphinxRole):
-    """``{setting}`name` ``: the default of a field of `HyperParameters`."""
+# ---------------------------------------------------------------- tables
 
-    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-        """Return the default as text."""
-        defaults = dataclasses.asdict(HyperParameters())
-        if self.text not in defaults:
-            message = f"unknown setting {self.text!r}; allowed: {', '.join(defaults)}"
-            return [], [self.inliner.reporter.error(message, line=self.lineno)]
-        value = defaults[self.text]
-        return [nodes.Text(layers(value) if isinstance(value, tuple) else as_text(value))], []
+Row = Sequence[str]
 
 
-class TableDirective(SphinxDirective):
-    """Base of the directives that write a table as Markdown and let MyST parse it."""
+class Table(NamedTuple):
+    """A table: its target for ``{numref}``, its caption as Markdown, its head and its rows."""
 
-    def markdown_table(
-        self, name: str, caption: str, head: Row, rows: Iterable[Row]
-    ) -> list[nodes.Node]:
-        """Return a captioned, numbered table.
-
-        Args:
-            name: Target for ``{numref}``.
-            caption: The caption, as Markdown.
-            head: The columns' names.
-            rows: The cells, one sequence per row.
-        """
-        # Colons, not backticks: a caption may hold code.
-        lines = [f":::{{table}} {caption}", f":name: {name}", ":align: center", ""]
-        lines += [_line(head), _line(["---"] * len(head)), *map(_line, rows), ":::"]
-        parent = nodes.container()
-        self.state.nested_parse(StringList(lines, source=""), self.content_offset, parent)
-        return list(parent.children)
+    name: str
+    caption: str
+    head: Row
+    rows: Sequence[Row]
 
 
-def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+def paper_table(key: str = "") -> Table:
+    """Return a table of the paper; its caption names where the paper has it."""
+    table, known = paper.table(key), paper.symbols()
+    if table.kind == "common":
+        head = ["Hyper-parameter", "Value", "Name here"]
+        rows = [[r["meaning"], as_text(r["value"]), _code(r["parameter"])] for r in table.rows]
+    elif table.kind == "grid":
+        head = ["Symbol", "Hyper-parameter", "Values", "Name here"]
+        rows = [
+            [
+                known[row["symbol"]].latex,
+                f"**{row['meaning']}**" if row.get("silem_only") else row["meaning"],
+                as_text(row["values"]),
+                _code(known[row["symbol"]].parameter),
+            ]
+            for row in table.rows
+        ]
+    else:
+        head = [_heading(table.kind, column) for column in table.columns]
+        rows = [[as_text(row[column]) for column in table.columns] for row in table.rows]
+    caption = f"{table.caption} ({table.source}, Table {table.number})"
+    caption += f" {table.note}" if table.note else ""
+    return Table(f"paper-{table.key.replace('.', '-')}", caption, head, rows)
 
 
-class PaperTableDirective(TableDirective):
-    """One table of the paper, by its key in ``silem/paper``."""
-
-    required_arguments = 1
-
-    def run(self) -> list[nodes.Node]:
-        """Return the table, its caption naming where the paper has it."""
-        try:
-            table = paper.table(self.arguments[0])
-        except SilemError as error:
-            raise self.error(str(error)) from error
-        write = {"common": _common, "grid": _grid, "best": _best, "result": _result}[table.kind]
-        head, rows = write(table)
-        caption = f"{table.caption} ({table.source}, Table {table.number})"
-        if table.note:
-            caption += f" {table.note}"
-        return self.markdown_table(f"paper-{table.key.replace('.', '-')}", caption, head, rows)
-
-
-def _parameter(name: str) -> str:
+def _code(name: str) -> str:
     return f"`{name}`" if name else ""
 
 
-def _common(table: PaperTable) -> tuple[Row, list[Row]]:
-    rows: list[Row] = [
-        (r["meaning"], as_text(r["value"]), _parameter(r["parameter"])) for r in table.rows
-    ]
-    return ("Hyper-parameter", "Value", "Name here"), rows
+def _heading(kind: str, column: str) -> str:
+    """Write a column's name: a symbol as a formula, in tables of results alone if one letter."""
+    if kind == "best":
+        known = paper.symbols()
+        return known[column].latex if column in known else column.capitalize()
+    return column.replace("_", " ") if len(column) > 1 else f"${column}$"
 
 
-def _grid(table: PaperTable) -> tuple[Row, list[Row]]:
-    rows: list[Row] = []
-    for row in table.rows:
-        symbol = paper.symbols()[row["symbol"]]
-        meaning = f"**{row['meaning']}**" if row.get("silem_only") else row["meaning"]
-        values = as_text(row["values"])
-        rows.append((symbol.latex, meaning, values, _parameter(symbol.parameter)))
-    return ("Symbol", "Hyper-parameter", "Values", "Name here"), rows
+def settings() -> Table:
+    """Return this project's hyper-parameters: name, default and the methods that use each."""
+    learned, rows = {method for method in METHODS if method != "random"}, []
+    for field in dataclasses.fields(HyperParameters):
+        users = field.metadata["methods"]
+        used_by = "all" if set(users) == learned else ", ".join(users)
+        rows.append((f"`{field.name}`", layers(field.default), used_by))
+    caption = "The hyper-parameters of `HyperParameters`, their defaults, and the methods that use"
+    caption += " each. The paper's best combination of a cell replaces the defaults."
+    return Table("settings", caption, ("Name", "Default", "Used by"), rows)
 
 
-def _best(table: PaperTable) -> tuple[Row, list[Row]]:
-    known = paper.symbols()
-    head = [known[c].latex if c in known else c.capitalize() for c in table.columns]
-    return head, [[as_text(row[c]) for c in table.columns] for row in table.rows]
+def budgets() -> Table:
+    """Return the budgets: how much each spends."""
+    head = ["Budget", "Environments", "Steps per iteration", "Iterations", "Trials"]
+    head.append("Evaluation episodes")
+    rows = []
+    for budget in BUDGETS.values():
+        steps = [as_text(budget.n_envs), as_text(budget.steps_per_iteration), _iterations(budget)]
+        counts = [as_text(budget.n_trials), as_text(budget.n_eval_episodes)]
+        rows.append([f"`{budget.name}`", *steps, *counts])
+    return Table("budgets", "What each budget spends on a run.", head, rows)
 
 
-def _result(table: PaperTable) -> tuple[Row, list[Row]]:
-    head = [c.replace("_", " ") if len(c) > 1 else f"${c}$" for c in table.columns]
-    return head, [[as_text(row[c]) for c in table.columns] for row in table.rows]
-
-
-class SettingsDirective(TableDirective):
-    """This project's hyper-parameters: name, default and the methods that use each."""
-
-    def run(self) -> list[nodes.Node]:
-        """Return the table."""
-        rows = []
-        for field in dataclasses.fields(HyperParameters):
-            default = field.default
-            text = layers(default) if isinstance(default, tuple) else as_text(default)
-            users = field.metadata["methods"]
-            learned = [method for method in METHODS if method != "random"]
-            everyone = set(users) == set(learned)
-            rows.append((f"`{field.name}`", text, "all" if everyone else ", ".join(users)))
-        caption = "The hyper-parameters of `HyperParameters`, their defaults, "
-        caption += "and the methods that use each. The paper's best combination of a cell replaces "
-        caption += "the defaults."
-        return self.markdown_table("settings", caption, ("Name", "Default", "Used by"), rows)
-
-
-class BudgetsDirective(TableDirective):
-    """The budgets: how much each spends."""
-
-    def run(self) -> list[nodes.Node]:
-        """Return the table."""
-        head = ["Budget", "Environments", "Steps per iteration", "Iterations", "Trials"]
-        head.append("Evaluation episodes")
-        rows = [
-            (
-                f"`{budget.name}`",
-                as_text(budget.n_envs),
-                as_text(budget.steps_per_iteration),
-                iterations(budget),
-                as_text(budget.n_trials),
-                as_text(budget.n_eval_episodes),
-            )
-            for budget in BUDGETS.values()
-        ]
-        return self.markdown_table("budgets", "What each budget spends on a run.", head, rows)
-
-
-def iterations(budget: Budget) -> str:
+def _iterations(budget: Budget) -> str:
     """Write a budget's iterations, and the humanoids' where those are others."""
     humanoids = of_family(budget, "humanoid").n_iterations
     text = as_text(budget.n_iterations)
@@ -203,11 +164,40 @@ def iterations(budget: Budget) -> str:
     return text if same else f"{text}; humanoids {as_text(humanoids)}"
 
 
+TABLES: dict[str, Callable[..., Table]] = {
+    "paper-table": paper_table,
+    "settings": settings,
+    "budgets": budgets,
+}
+
+
+class TableDirective(SphinxDirective):
+    """One of `TABLES`, written as Markdown and parsed by MyST."""
+
+    optional_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table, captioned and numbered."""
+        try:
+            table = TABLES[self.name](*self.arguments)
+        except SilemError as error:
+            raise self.error(str(error)) from error
+        # Colons, not backticks: a caption may hold code.
+        lines = [f":::{{table}} {table.caption}", f":name: {table.name}", ":align: center", ""]
+        lines += map(_line, [table.head, ["---"] * len(table.head), *table.rows])
+        parent = nodes.container()
+        self.state.nested_parse(StringList([*lines, ":::"], source=""), self.content_offset, parent)
+        return list(parent.children)
+
+
+def _line(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the roles and directives with Sphinx."""
-    app.add_role("paper-number", PaperNumberRole())
-    app.add_role("setting", SettingRole())
-    app.add_directive("paper-table", PaperTableDirective)
-    app.add_directive("settings", SettingsDirective)
-    app.add_directive("budgets", BudgetsDirective)
+    app.add_role("paper-number", role(paper_number))
+    app.add_role("setting", role(setting))
+    for name in TABLES:
+        app.add_directive(name, TableDirective)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,15 +12,15 @@ import re
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from silem.util import files
 from silem.util.errors import choose
@@ -45,17 +45,14 @@ _SETTINGS: Any = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 8.0,
-    "axes.labelsize": 9.0,
     "axes.labelcolor": INK,
     "axes.edgecolor": MUTED,
-    "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
     "axes.grid.axis": "y",
     "grid.color": "#e8e8e8",
-    "grid.linewidth": 0.8,
     "xtick.color": MUTED,
     "ytick.color": MUTED,
     "xtick.labelcolor": INK,
@@ -63,16 +60,12 @@ _SETTINGS: Any = {
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
     "legend.frameon": False,
-    "legend.fontsize": 9.0,
     "lines.solid_capstyle": "round",
-    "figure.facecolor": "white",
-    "svg.fonttype": "path",
     "svg.hashsalt": "silem",  # the same figure gives the same bytes
 }
 
 
-@dataclass(frozen=True)
-class MethodStyle:
+class MethodStyle(NamedTuple):
     """How a method is drawn, the same in every figure."""
 
     label: str
@@ -96,7 +89,7 @@ METHODS = {
 _WITHOUT_EXPERT = {"silem-minus": "SILEM⁻", "ppo": "PPO, true reward"}
 
 # Bodies of a family differ in one length, so their colours run from light to dark.
-_BODY_COLORS = {"light": (0.80, 0.74, 0.90), "dark": (0.25, 0.07, 0.42)}
+_LIGHT, _DARK = np.array([0.80, 0.74, 0.90]), np.array([0.25, 0.07, 0.42])
 
 
 def method(name: str, original: str = "HC0") -> MethodStyle:
@@ -111,14 +104,12 @@ def method(name: str, original: str = "HC0") -> MethodStyle:
     """
     chosen = METHODS[choose("method", name, METHODS)]
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
-    return MethodStyle(label.format(original=original), chosen.color, chosen.marker)
+    return chosen._replace(label=label.format(original=original))
 
 
 def body_color(index: int, count: int) -> str:
     """Return the colour of body `index` of `count`, light to dark."""
-    share = index / max(count - 1, 1)
-    light, dark = np.array(_BODY_COLORS["light"]), np.array(_BODY_COLORS["dark"])
-    return to_hex(light + share * (dark - light))
+    return to_hex(_LIGHT + index / max(count - 1, 1) * (_DARK - _LIGHT))
 
 
 @contextmanager
@@ -140,6 +131,18 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN, **subplots: Any) ->
     """
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     return figure, figure.subplots(**subplots)
+
+
+def handle(color: str, label: str, **look: Any) -> Line2D:
+    """Return an entry of a legend."""
+    return Line2D([], [], color=color, label=label, **look)
+
+
+def picture(axes: Axes, pixels: np.ndarray) -> None:
+    """Show a picture (H, W, 3) in a frame without ticks."""
+    axes.imshow(pixels, interpolation="none")
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set(visible=True, color=FAINT)
 
 
 def empty_slot(axes: Axes, x: float, text: str = "no run", color: str = MUTED) -> None:
@@ -179,11 +182,5 @@ def svg(figure: Figure) -> str:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure atomically as SVG, or as PNG where the name ends so."""
-    if path.suffix == ".png":
-        stream = io.BytesIO()
-        with applied():
-            figure.savefig(stream, format="png", dpi=200, metadata={"Software": None})
-        files.write_bytes(path, stream.getvalue())
-    else:
-        files.write_text(path, svg(figure))
+    """Write a figure atomically as SVG."""
+    files.write_text(path, svg(figure))

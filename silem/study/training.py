@@ -25,13 +25,12 @@ from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters
 from silem.util import files, seeding
 from silem.util.errors import SilemError
 
-PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 # What a run's hyper-parameters say of its policy, its data and its body; the others are arguments

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from silem.report import bookbuild
+from silem.report import build
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
@@ -24,17 +24,15 @@ def html() -> Path:
 
     Here the notebooks run with their own defaults, once for all workers.
     """
-    if bookbuild.is_current():
-        return bookbuild.html()
+    if pages := build.current():
+        return pages
     root = REPO / "_build" / "tests"
     root.mkdir(parents=True, exist_ok=True)
     with files.lock(root / "tests.lock", wait_s=float("inf")):
-        if not bookbuild.is_current(root):
-            try:
-                bookbuild.build(n_workers=2, root=root, parameters={})
-            except SilemError as error:
-                pytest.fail(f"the book cannot be built: {error}", pytrace=False)
-    return bookbuild.html(root)
+        try:
+            return build.current(root) or build.build(n_workers=2, root=root, parameters={})
+        except SilemError as error:
+            pytest.fail(f"the book cannot be built: {error}", pytrace=False)
 
 
 @pytest.fixture(scope="session")

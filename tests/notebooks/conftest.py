@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,16 +12,28 @@ from typing import Any
 
 import nbformat
 import numpy as np
-import papermill
 import pytest
+from IPython.core import displayhook
+from IPython.core.interactiveshell import InteractiveShell
+from IPython.display import display
+from IPython.utils.capture import capture_output
+from nbformat import v4
+from papermill.execute import execute_notebook
+from papermill.iorw import load_notebook_node
+from papermill.parameterize import parameterize_notebook
+from traitlets import Type
+from traitlets.config import Config
 
 from silem.envs import make_vec
-from silem.motion import demonstrations
+from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
+from silem.report import film
 from silem.study.config import RunConfig
-from silem.study.policies import make_policy_model
+from silem.study.demonstrate import experts
 from silem.study.record import POLICY, RunRecord
+from silem.study.training import make_policy_model
 from silem.util import files
+from silem.util.errors import SilemError
 
 REPO = Path(__file__).parents[2]
 NOTEBOOKS = sorted((REPO / "notebooks").glob("*.ipynb"))
@@ -43,6 +56,8 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
         synthetic.write_study("book", without=MISSING)
         for method, body in FILMED:
             add_untrained_policy(RunConfig.create(body, method, budget="book"))
+        for config in experts("HC0", "book")[1:]:
+            add_untrained_policy(config)
         demonstrations.publish("HC0", random_demonstrations("HC0"))
     return folder
 
@@ -75,25 +90,88 @@ def random_demonstrations(body: str, n_trajectories: int = 20, n_steps: int = 60
     return Demonstrations(tuple(features), (0.0,) * n_trajectories, body, "a random policy")
 
 
+class DisplayHook(displayhook.DisplayHook):
+    """Shows a cell's last value like anything that it displays."""
+
+    def __call__(self, result: object = None) -> None:
+        if result is not None:
+            display(result)
+
+
+class Shell(InteractiveShell):
+    displayhook_class = Type(DisplayHook)
+
+
 @pytest.fixture
 def execute(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Execute:
-    """Run a notebook by name through papermill, with parameters, in the made-up data folder."""
+    """Run a notebook by name, with parameters, in the made-up data folder.
+
+    It runs in this process, where everything is imported already: a kernel's start costs more than
+    most pages. `papermill` runs one in a kernel.
+    """
+    monkeypatch.setenv("SILEM_DATA_DIR", str(data_dir))
+    monkeypatch.chdir(tmp_path)
+
+    def run(name: str, **parameters: Any) -> nbformat.NotebookNode:
+        notebook = parameterize_notebook(load_notebook_node(str(path_of(name))), parameters)
+        Shell.clear_instance()
+        shell = Shell.instance(config=Config(HistoryManager={"enabled": False}))
+        try:
+            for cell in notebook.cells:
+                if cell.cell_type == "code":
+                    with capture_output() as captured:
+                        shell.run_cell(cell.source, store_history=True).raise_error()
+                    cell.outputs = [
+                        v4.new_output("display_data", output.data, metadata=output.metadata or {})
+                        for output in captured.outputs
+                    ]
+                    if captured.stdout:
+                        cell.outputs.append(v4.new_output("stream", text=captured.stdout))
+        finally:
+            Shell.clear_instance()
+        return notebook
+
+    return run
+
+
+@pytest.fixture
+def papermill(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Execute:
+    """Run a notebook like `execute`, in a kernel through papermill."""
     monkeypatch.setenv("SILEM_DATA_DIR", str(data_dir))
     monkeypatch.setenv("PYTHONPATH", str(REPO))
     monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
     def run(name: str, **parameters: Any) -> nbformat.NotebookNode:
-        (source,) = [path for path in NOTEBOOKS if path.stem == name]
-        return papermill.execute_notebook(
-            source,
-            tmp_path / source.name,
-            parameters,
-            progress_bar=False,
-            cwd=tmp_path,
-            execution_timeout=300,
-        )
+        target, options = tmp_path / f"{name}.ipynb", {"progress_bar": False, "cwd": tmp_path}
+        return execute_notebook(path_of(name), target, parameters, execution_timeout=300, **options)
 
     return run
+
+
+def path_of(name: str) -> Path:
+    (path,) = [path for path in NOTEBOOKS if path.stem == name]
+    return path
+
+
+@pytest.fixture
+def no_offscreen_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine on which MuJoCo cannot draw."""
+
+    def refuse(*_: object) -> None:
+        raise SilemError("no offscreen rendering with MUJOCO_GL='disable'")
+
+    monkeypatch.setattr(film, "MujocoCamera", refuse)
+
+
+@pytest.fixture
+def only_demonstrations(
+    execute: Execute, papermill: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A data folder with nothing but the committed demonstrations: no results, no raw clips."""
+    folder = tmp_path / "data"
+    shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")
+    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
+    monkeypatch.setenv(clips.ENV, str(tmp_path / "nowhere"))
 
 
 def find(run_id: str, data_dir: Path) -> RunRecord:
@@ -126,6 +204,11 @@ def said(notebook: nbformat.NotebookNode) -> dict[str, str]:
                 text = next(value for key, value in data.items() if key.endswith("text/plain"))
                 words[name] = text.strip("'")
     return words
+
+
+def words(text: str) -> str:
+    """What is read: the text without its markup."""
+    return " ".join(re.sub(r"<style.*?</style>|<[^>]*>", " ", text, flags=re.DOTALL).split())
 
 
 def glue_roles(notebook: nbformat.NotebookNode) -> set[str]:

@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-import re
-import shutil
-from pathlib import Path
-
 import pytest
-from conftest import REPO, Execute, glue_roles, output, said
+from conftest import Execute, glue_roles, output, said, words
 
-from silem.report.rendering import why_no_pictures
+from silem.report.film import why_no_pictures
 
 NAME = "10_humanoids"
 
 
-@pytest.fixture(autouse=True)
-def only_demonstrations(execute: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A data folder with nothing but the committed demonstrations."""
-    folder = tmp_path / "data"
-    shutil.copytree(REPO / "data" / "demonstrations", folder / "demonstrations")
-    monkeypatch.setenv("SILEM_DATA_DIR", str(folder))
-
-
-def text_of(html: str) -> str:
-    return " ".join(re.sub(r"<style.*?</style>|<[^>]*>", " ", html, flags=re.DOTALL).split())
-
-
-def test_without_offscreen_rendering(execute: Execute, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "disable")
+@pytest.mark.usefixtures("only_demonstrations", "no_offscreen_rendering")
+def test_without_offscreen_rendering(execute: Execute) -> None:
     page = execute(NAME, body="Atlas", n_episodes=2)
     for cell_id in ("limp", "random"):
         note = output(page, cell_id)
         assert "<video" not in note
-        assert "No video" in text_of(note) and "MUJOCO_GL" in note
+        assert "No video" in words(note) and "MUJOCO_GL" in note
     for cell_id in ("fig-3a", "fig-reward"):
         assert output(page, cell_id).startswith("<svg")
     spoken = said(page)
@@ -43,13 +27,14 @@ def test_without_offscreen_rendering(execute: Execute, monkeypatch: pytest.Monke
         "0.1",
     )
     assert spoken["n_episodes"] == "2"
-    distances = text_of(output(page, "distances"))
+    distances = words(output(page, "distances"))
     assert "Humanoid 1.26 1.26 0.00 0.40 0.40 0.00" in distances
     assert "Atlas 0.99 1.08 +0.09 0.91 0.98 +0.07" in distances
-    assert "r_leg_akx −0.10 0.10 45" in text_of(output(page, "joints"))
-    assert "skeletal features 23 action 28" in text_of(output(page, "gymnasium"))
+    assert "r_leg_akx −0.10 0.10 45" in words(output(page, "joints"))
+    assert "skeletal features 23 action 28" in words(output(page, "gymnasium"))
 
 
+@pytest.mark.usefixtures("only_demonstrations")
 @pytest.mark.skipif(bool(why_no_pictures("Humanoid")), reason="nothing can be drawn offscreen here")
 def test_with_pictures(execute: Execute) -> None:
     page = execute(NAME, n_episodes=1, seed=3)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from silem.motion.features import FEATURES
 from silem.report import claims, figures, results, scorecard, style, tables
 from silem.report.features import feature_groups, feature_names
+from silem.report.pages.walking import humanoid_scores
 from silem.study import studies as plans
 from silem.study.config import RunConfig
 from silem.study.record import RunRecord
@@ -37,6 +38,8 @@ FIGURES = {
 
 
 def draw(name: str, frame: pd.DataFrame) -> Figure:
+    if name == "humanoid_scores":
+        return humanoid_scores(frame)
     function = "affine_transforms" if name in ("A", "b") else name
     return getattr(figures, function)(frame, **FIGURES[name])
 
@@ -86,7 +89,7 @@ def test_every_figure_takes_humanoids_and_stays_readable(name: str, frame: pd.Da
 
 
 def test_figure_3b_shows_true_returns_between_ppo_and_the_highest(frame: pd.DataFrame) -> None:
-    score = figures.humanoid_scores(frame).axes[0]
+    score = humanoid_scores(frame).axes[0]
     marks = [line.get_ydata() for line in lines_at(score, style.METHODS["tpil"].color)]
     mean = results.scores(frame, "tpil", "Atlas", "return_mean").mean()
     assert any(len(y) == 1 and y[0] == mean for y in marks)
@@ -99,7 +102,7 @@ def test_figure_3b_shows_true_returns_between_ppo_and_the_highest(frame: pd.Data
 
 
 def test_figure_3b_shows_what_the_score_hides(frame: pd.DataFrame) -> None:
-    _, survived, speed = figures.humanoid_scores(frame).axes
+    _, survived, speed = humanoid_scores(frame).axes
     for axes, column in ((survived, "upright"), (speed, "speed_m_s")):
         blue = [line.get_ydata() for line in lines_at(axes, style.METHODS["silem"].color)]
         mean = results.scores(frame, "silem", "HumanoidR", column).mean()
@@ -107,26 +110,9 @@ def test_figure_3b_shows_what_the_score_hides(frame: pd.DataFrame) -> None:
     assert lines_at(speed, style.INK)[0].get_ydata()[0] == 1.6
 
 
-def test_scores_at_the_foot_of_their_scale_are_shown_enlarged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    for method, level in (("ppo", 800.0), ("silem", 60.0), ("tpil", 20.0)):
-        synthetic.write_record(planned(method, "Humanoid"), return_mean=level)
-    figure = figures.humanoid_scores(results.load_records("humanoids", "book"))
-    assert_readable(figure)
-    score, enlarged, survived, speed = figure.axes
-    assert enlarged.get_title(loc="left") == "True return, enlarged"
-    assert survived.get_title(loc="left") == "Share survived, enlarged"
-    assert score.get_ylim()[1] > 1000 and speed.get_ylim()[1] > 1.6
-    assert 60 < enlarged.get_ylim()[1] < 100 and survived.get_ylim()[1] < 0.2
-    dashes = [len(lines_at(axes, style.MUTED)) for axes in (score, enlarged)]
-    assert dashes == [1, 0]  # PPO's level is off the enlarged scale
-
-
 @synthetic.study("single")
 def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
-    score = figures.humanoid_scores(frame).axes[0]
+    score = humanoid_scores(frame).axes[0]
     marks = [line for line in score.lines if line.get_marker() == style.METHODS["silem"].marker]
     assert [mark.get_markerfacecolor() for mark in marks] == ["white"] * 3
     assert texts(score.figure).count("n=1") == 12
@@ -136,7 +122,7 @@ def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
 def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
     frame: pd.DataFrame,
 ) -> None:
-    figure = figures.humanoid_scores(frame)
+    figure = humanoid_scores(frame)
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
     shown = sorted(float(y) for line in crosses for y in line.get_ydata())
     assert shown == sorted(frame.loc[frame["stand_in"], "return_mean"])
@@ -206,7 +192,7 @@ def test_figures_of_other_bodies_are_refused(
         figures.affine_transforms(frame, "a")
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     with pytest.raises(SilemError, match="humanoid_scores shows Atlas"):
-        figures.humanoid_scores(results.load_records("halfcheetah", "book"))
+        humanoid_scores(results.load_records("halfcheetah", "book"))
 
 
 def test_transforms_of_another_length_are_refused(

@@ -1,22 +1,14 @@
-"""The humanoids in numbers and films: lengths, strength, falls, the reward's factors."""
+"""The humanoids in numbers: lengths, strength, falls."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from drawn import assert_readable
 
 from silem import bodies
-from silem.bodies import Body
-from silem.report import humanoid_rendering, learners, rendering
-from silem.report.figures import reward
-from silem.util.errors import SilemError
+from silem.report import learners
 
 NAMES = bodies.names("humanoid")
-
-needs_pictures = pytest.mark.skipif(
-    bool(rendering.why_no_pictures("Humanoid")), reason="nothing can be drawn offscreen here"
-)
 
 
 def test_humanoid_rs_arms_are_humanoids_scaled() -> None:
@@ -87,55 +79,3 @@ def test_heights_are_in_their_order_and_atlas_in_proportion() -> None:
         assert row["episode ends below"] < row["counts as standing from"] < row["standing pose"]
     shares = table.div(table["standing pose"], axis=0)
     np.testing.assert_allclose(shares.loc["Atlas"], shares.loc["Humanoid"], atol=1e-3)
-
-
-# ---------------------------------------------------------------- the reward
-
-
-def test_the_rewards_factors_are_what_the_page_says() -> None:
-    figure = reward.factors()
-    assert_readable(figure)
-    standing, upright, control, move = figure.axes
-    curves = [axes.lines[0].get_xydata() for axes in (standing, upright, control, move)]
-    for curve, x, y in zip(
-        curves, (0.75 * 1.4, 180.0, 0.5, 0.0), (0.1, 0.0, 0.95, 1 / 6), strict=True
-    ):
-        assert np.interp(x, *curve.T) == pytest.approx(y, abs=2e-3)
-    ours, suites = (line.get_xydata() for line in move.lines)
-    assert np.interp(1.3, *ours.T) < np.interp(1.3, *suites.T) == pytest.approx(1)
-
-
-# ---------------------------------------------------------------- films
-
-
-@needs_pictures
-def test_a_fall_is_filmed_in_real_time_beyond_the_end_of_an_episode() -> None:
-    clip = humanoid_rendering.fall(["Humanoid", "HumanoidR"], 1.0, 0.6)
-    assert clip.frames.shape == (13, 440, 2 * 320 + 8, 3)
-    assert clip.duration_s == pytest.approx(0.65)
-    fallen, before = clip.frames[-1, :, :320].astype(int), clip.frames[-2, :, :320].astype(int)
-    assert np.abs(fallen - before).max() > 20  # it still moves
-    again = humanoid_rendering.fall(["Humanoid", "HumanoidR"], 1.0, 0.6)
-    assert np.array_equal(clip.frames, again.frames)
-    limp = humanoid_rendering.fall(["Humanoid", "HumanoidR"], 0.0, 0.6)
-    assert np.array_equal(limp.frames[0], clip.frames[0])
-    assert not np.array_equal(limp.frames[-1], clip.frames[-1])
-
-
-@pytest.mark.parametrize(("torque", "duration_s"), [(0.0, 0.0), (1.5, 1.0), (-0.1, 1.0)])
-def test_a_film_that_makes_no_sense_is_refused(torque: float, duration_s: float) -> None:
-    with pytest.raises(SilemError, match="from 0 to 1"):
-        humanoid_rendering.fall(["Humanoid"], torque, duration_s)
-
-
-def test_without_offscreen_rendering_portraits_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(body: Body, width: int, height: int) -> np.ndarray:
-        raise SilemError("no offscreen rendering")
-
-    monkeypatch.setattr(rendering, "still", refuse)
-    plates = humanoid_rendering.portraits(NAMES)
-    assert list(plates) == NAMES
-    for plate in plates.values():
-        ink = (plate < 128).all(axis=2)
-        assert 300 < ink.sum() < 10_000  # some words
-        assert not ink[:, -5:].any()  # which end before the edge

@@ -94,3 +94,17 @@ def test_transform_is_drawn_feature_by_feature(record) -> None:
 def test_transform_of_a_run_without_one_is_an_error(record) -> None:
     with pytest.raises(SilemError, match=r"transform\.npz"):
         one_run.transform(record(RunConfig.create("HC0", "silem-minus")))
+
+
+def test_one_run_of_a_humanoid(record) -> None:
+    run = record(RunConfig.create("HumanoidR", "silem"))
+    titles = [axes.get_title(loc="left") for axes in one_run.curve(run).axes]
+    assert titles[:2] == ["return of an episode", "steps before a fall"]
+    left, _ = one_run.transform(run).axes
+    assert [tick.get_text() for tick in left.get_yticklabels()] == feature_names("HumanoidR")
+
+
+def test_a_trajectory_of_a_humanoid_is_refused() -> None:
+    motion = Demonstrations((np.zeros((5, 23), np.float32),), (), "humanoid_CMU", "")
+    with pytest.raises(SilemError, match="unknown runner 'humanoid_CMU'; allowed: HC0"):
+        one_run.trajectory(motion)

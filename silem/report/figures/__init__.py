@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from silem.report.figures.affine import affine_transforms, transforms
-from silem.report.figures.humanoids import humanoid_scores
 from silem.report.figures.learning import learning_curves
 from silem.report.figures.sources import OF_STUDY, runs_of
 from silem.report.figures.trials import affine_or_mlp, experts, gaits, normalised_scores
@@ -14,7 +13,6 @@ __all__ = [
     "affine_transforms",
     "experts",
     "gaits",
-    "humanoid_scores",
     "learning_curves",
     "normalised_scores",
     "runs_of",

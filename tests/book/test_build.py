@@ -9,7 +9,7 @@ import papermill
 import pytest
 from nbformat import v4
 
-from silem.report import bookbuild, execution
+from silem.report import build
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -26,7 +26,7 @@ def test_executed_copies_hold_outputs_and_a_failure_names_its_notebook(tmp_path:
     good = write_notebook(tmp_path / "01_good.ipynb", "x = 1", "print(x + 41)")
     bad = write_notebook(tmp_path / "02_bad.ipynb", "x = 1", "raise RuntimeError('no such expert')")
     with pytest.raises(SilemError, match=r"(?s)02_bad failed.*no such expert") as caught:
-        execution.execute_notebooks([good, bad], tmp_path / "out", n_workers=2, parameters={})
+        build.execute([good, bad], tmp_path / "out", n_workers=2, parameters={})
     assert "01_good" not in str(caught.value)
     executed = nbformat.read(tmp_path / "out" / "01_good.ipynb", as_version=4)
     assert executed.cells[-1].outputs[0].text == "42\n"
@@ -36,8 +36,8 @@ def test_executed_copies_hold_outputs_and_a_failure_names_its_notebook(tmp_path:
 def test_parameters_are_injected_and_folded_away(tmp_path: Path) -> None:
     parameters = {"01_page": {"budget": "book"}}
     path = write_notebook(tmp_path / "01_page.ipynb", "budget = 'tiny'", "print(budget)")
-    execution.execute_notebooks([path], tmp_path / "out", 1, parameters)
-    bookbuild.stage(tmp_path / "out", tmp_path / "source")
+    build.execute([path], tmp_path / "out", 1, parameters)
+    build.stage(tmp_path / "out", tmp_path / "source")
     staged = nbformat.read(tmp_path / "source" / "notebooks" / "01_page.ipynb", as_version=4)
     (injected,) = [c for c in staged.cells if "injected-parameters" in c.metadata.get("tags", [])]
     assert "hide-input" in injected.metadata["tags"]
@@ -46,8 +46,8 @@ def test_parameters_are_injected_and_folded_away(tmp_path: Path) -> None:
 
 
 def test_the_books_parameters_are_parameters_of_its_notebooks() -> None:
-    paths = {path.stem: path for path in bookbuild.notebooks()}
-    for name, parameters in bookbuild.BOOK_PARAMETERS.items():
+    paths = {path.stem: path for path in build.notebooks()}
+    for name, parameters in build.BOOK_PARAMETERS.items():
         assert parameters.keys() <= papermill.inspect_notebook(paths[name]).keys()
 
 
@@ -63,11 +63,11 @@ def test_a_reference_that_leads_nowhere_fails_the_build(
     (source / "_toc.yml").write_text("format: jb-book\nroot: page\n")
     (source / "page.md").write_text(text)
     if builds:
-        bookbuild.build_html(source, tmp_path)
+        build.build_html(source, tmp_path)
         assert (tmp_path / "_build" / "html" / "page.html").exists()
     else:
         with pytest.raises(SilemError, match="did not build"):
-            bookbuild.build_html(source, tmp_path)
+            build.build_html(source, tmp_path)
 
 
 def test_the_digest_follows_the_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,12 +75,12 @@ def test_the_digest_follows_the_records(tmp_path: Path, monkeypatch: pytest.Monk
     record = tmp_path / "results" / "halfcheetah" / "run" / "record.json"
     record.parent.mkdir(parents=True)
     record.write_text("1")
-    before = bookbuild.source_digest()
-    assert bookbuild.source_digest() == before
+    before = build.source_digest()
+    assert build.source_digest() == before
     record.write_text("2")
-    assert bookbuild.source_digest() != before
+    assert build.source_digest() != before
 
 
 def test_the_table_of_contents_lists_every_notebook() -> None:
     toc = (REPO / "_toc.yml").read_text()
-    assert [p.stem for p in bookbuild.notebooks() if f"notebooks/{p.stem}\n" not in toc] == []
+    assert [p.stem for p in build.notebooks() if f"notebooks/{p.stem}\n" not in toc] == []

@@ -11,13 +11,13 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
-from silem.report import results, style, tables, walking, walking_video
-from silem.report.claims.rules import MARGIN
+from silem.report import film, notebook, results, style, tables
+from silem.report.claims import MARGIN
 from silem.report.figures.compared import compared_curves
-from silem.report.video import Clip
+from silem.report.pages import walking
 from silem.study.config import RunConfig
+from silem.study.record import RunRecord
 from silem.study.studies import cells
-from silem.util.errors import SilemError
 
 SHORT = 250
 
@@ -169,30 +169,24 @@ def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
     assert_readable(figure)
 
 
-def clip(n_frames: int, shade: int) -> Clip:
-    return Clip(np.full((n_frames, 60, 80, 3), shade, np.uint8), 20.0)
-
-
-def test_a_grid_holds_what_ends_early_and_leaves_the_rest_white() -> None:
-    made = walking_video.grid([clip(5, 10), clip(2, 120), clip(3, 200)], ["a", "b", "c"], 2)
-    assert made.frames.shape == (5, 60 + 8 + 60, 80 + 8 + 80, 3)
-    assert (made.frames[4, 40:60, 88:] == 120).all()  # the second clip's last frame
-    assert (made.frames[4, 100:, :80] == 200).all()
-    assert (made.frames[:, 68:, 88:] == 255).all()
-    assert made.frames_per_s == 20.0
-    with pytest.raises(SilemError):
-        walking_video.grid([clip(2, 10)], ["a", "b"])
-
-
-def test_only_runs_with_a_policy_are_filmed(
+def test_the_best_planned_run_of_each_method_is_filmed(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert walking_video.best(frame, "silem", "Humanoid") is None  # made-up runs have none
+    filmed: dict[str, RunRecord] = {}
     notes: list[str] = []
-    monkeypatch.setattr(walking_video, "_note", notes.append)
-    monkeypatch.setattr("silem.report.rendering.why_no_pictures", lambda body: "")
-    walking_video.show({"": frame}, "Humanoid", 0.1)
-    assert notes == ["No finished run on Humanoid yet: SILEM; SILEM⁻; TPIL; Peng20; PPO."]
-    monkeypatch.setattr("silem.report.rendering.why_no_pictures", lambda body: "no OpenGL")
-    walking_video.show({"": frame}, "Humanoid", 0.1)
+    clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
+    monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
+    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
+    monkeypatch.setattr(notebook, "note", notes.append)
+    monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
+    walking.show(frame, "Humanoid", 0.1)
+    assert list(filmed) == ["SILEM", f"PPO, {SHORT} iterations"]
+    best = results.cell(frame, "silem", "Humanoid").nlargest(1, "return_mean")
+    assert filmed["SILEM"].run_id == best["run_id"].item()
+    assert notes == [
+        "Humanoid, best trials, in real time: a clip",
+        "No finished run on Humanoid yet: SILEM⁻; TPIL; Peng20.",
+    ]
+    monkeypatch.setattr(film, "why_no_pictures", lambda body: "no OpenGL")
+    walking.show(frame, "Humanoid", 0.1)
     assert notes[-1] == "No videos of Humanoid: no OpenGL"

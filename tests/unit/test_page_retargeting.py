@@ -26,9 +26,9 @@ from silem.motion.retargeting import (
     published_retargeting,
     standing_feet,
 )
-from silem.report import rendering, retargeting, retargeting_video, style
-from silem.report.figures import retargeting as figures
-from silem.report.figures.motion import SIDE_COLORS
+from silem.report import film, style
+from silem.report.pages import retargeting as page
+from silem.report.stick_figure import SIDE_COLORS
 from silem.util.errors import SilemError
 
 every_body = pytest.mark.parametrize("index", range(len(BODIES)), ids=BODIES)
@@ -53,17 +53,17 @@ def test_texts_neither_overlap_nor_leave_the_figure(
     name: str, human: Motion, results: list[IKResult]
 ) -> None:
     arguments = {"poses": (human, results[1]), "foot_skate": (human, results)}
-    assert_readable(getattr(figures, name)(*arguments.get(name, (results,))))
+    assert_readable(getattr(page, name)(*arguments.get(name, (results,))))
 
 
 def test_poses_ring_the_hands_targets(human: Motion, results: list[IKResult]) -> None:
-    figure = figures.poses(human, results[0], n_poses=4)
+    figure = page.poses(human, results[0])
     man, body = figure.axes
     assert not [patch for patch in man.patches if isinstance(patch, Circle)]
     rings = [patch for patch in body.patches if isinstance(patch, Circle)]
-    assert len(rings) == 2 * 4
+    assert len(rings) == 2 * 5
     assert {ring.radius for ring in rings} == {TOLERANCE_M}
-    states = np.linspace(0, len(human.points) - 1, 4).round().astype(int)
+    states = np.linspace(0, len(human.points) - 1, 5).round().astype(int)
     for side in SIDES:
         own = [ring for ring in rings if same_color(ring.get_edgecolor(), SIDE_COLORS[side])]
         hands = results[0].points[states, POINTS.index(f"{side}_hand")][:, [0, 2]]
@@ -71,13 +71,10 @@ def test_poses_ring_the_hands_targets(human: Motion, results: list[IKResult]) ->
         residuals = results[0].residuals[states, TARGETS.index(f"{side}_hand")]
         assert (off <= residuals + 1e-6).all()  # the side view hides a part
         assert off.max() > 0.01
-    for n_poses in (1, len(human.points) + 1):
-        with pytest.raises(SilemError, match=f"{n_poses} poses of 93 states"):
-            figures.poses(human, results[0], n_poses)
 
 
 def test_residuals_are_drawn_in_mm_with_the_tolerance(results: list[IKResult]) -> None:
-    figure = figures.residuals(results)
+    figure = page.residuals(results)
     assert [axes.get_title(loc="left") for axes in figure.axes] == list(BODIES)
     for axes, result in zip(figure.axes, results, strict=True):
         shown = {line.get_color(): line.get_ydata() for line in axes.lines}
@@ -94,7 +91,7 @@ def test_residuals_are_drawn_in_mm_with_the_tolerance(results: list[IKResult]) -
 def test_foot_skate_is_drawn_where_the_mans_feet_stand(
     human: Motion, results: list[IKResult]
 ) -> None:
-    figure = figures.foot_skate(human, results)
+    figure = page.foot_skate(human, results)
     stands = standing_feet(human)
     for axes, result in zip(figure.axes, results, strict=True):
         for index, side in enumerate(SIDES):
@@ -107,7 +104,7 @@ def test_foot_skate_is_drawn_where_the_mans_feet_stand(
 def test_joint_limits_show_the_foremost_joints_in_their_sides_colour(
     results: list[IKResult],
 ) -> None:
-    for axes, result in zip(figures.joint_limits(results).axes, results, strict=True):
+    for axes, result in zip(page.joint_limits(results).axes, results, strict=True):
         shares = dict(zip(result.joint_names, 100 * result.at_limit.mean(axis=0), strict=True))
         names = [label.get_text() for label in axes.get_yticklabels()]
         widths = [bar.get_width() for bar in axes.patches]
@@ -122,7 +119,7 @@ def test_joint_limits_show_the_foremost_joints_in_their_sides_colour(
 
 def test_joints_that_never_meet_a_limit_are_not_drawn(results: list[IKResult]) -> None:
     free = dataclasses.replace(results[0], at_limit=np.zeros_like(results[0].at_limit))
-    (axes,) = figures.joint_limits([free]).axes
+    (axes,) = page.joint_limits([free]).axes
     assert not axes.patches
 
 
@@ -132,7 +129,7 @@ def test_joints_that_never_meet_a_limit_are_not_drawn(results: list[IKResult]) -
 def test_limb_ratios_tell_the_short_arm_from_the_long_one(
     human: Motion, results: list[IKResult]
 ) -> None:
-    table = retargeting.limb_ratios(human, results)
+    table = page.limb_ratios(human, results)
     plain, changed = table.loc["Humanoid's over his"], table.loc["HumanoidR's over his"]
     for side, factor in ARM_FACTORS.items():
         arm = f"{side} arm"
@@ -148,12 +145,12 @@ def test_hands_say_how_far_and_whereto_a_hand_is_off(
     side, result = "right", results[0]
     quarter = np.arange(len(human.points)) % 4 == 0
     points, residuals = result.points.copy(), np.zeros_like(result.residuals)
-    points[:, POINTS.index("right_hand")] = retargeting.hand_targets(human, result)[:, 1]
+    points[:, POINTS.index("right_hand")] = page.hand_targets(human, result)[:, 1]
     off = 0.1 * human.torso_axes[:, 0] - 0.2 * human.torso_axes[:, 1]
     points[quarter, POINTS.index("right_hand")] += off[quarter]
     residuals[quarter, TARGETS.index("right_hand")] = np.hypot(0.1, 0.2)
     made_up = dataclasses.replace(result, points=points, residuals=residuals)
-    table = retargeting.hands(human, [made_up]).set_index("hand")
+    table = page.hands(human, [made_up]).set_index("hand")
     row = table.loc[side]
     assert row["worst (mm)"] == pytest.approx(1000 * np.hypot(0.1, 0.2))
     assert row["beyond (%)"] == pytest.approx(100 * quarter.mean())
@@ -169,14 +166,14 @@ def test_only_joints_of_the_arm_count_as_its_limits(human: Motion, results: list
     for name, share in (("right_knee", 0), ("left_elbow", 0), ("right_elbow", 100)):
         at_limit = np.zeros_like(result.at_limit)
         at_limit[:, column(name)] = True
-        table = retargeting.hands(human, [dataclasses.replace(result, at_limit=at_limit)])
+        table = page.hands(human, [dataclasses.replace(result, at_limit=at_limit)])
         assert table.set_index("hand").loc["right", "at limit (%)"] == share, name
 
 
 def test_foot_skate_table_agrees_with_the_published_summary(
     human: Motion, results: list[IKResult]
 ) -> None:
-    table = retargeting.foot_skate(human, results)
+    table = page.foot_skates(human, results)
     assert list(table.index) == ["the man", *BODIES]
     for result in results:
         left = result.foot_skate_m_s[:, 0]
@@ -188,7 +185,7 @@ def test_foot_skate_table_agrees_with_the_published_summary(
 
 
 def test_starts_say_that_atlas_alone_has_to_change(results: list[IKResult]) -> None:
-    table = retargeting.starts(results).set_index("body")
+    table = page.starts(results).set_index("body")
     assert table["changed"].to_dict() == {"Humanoid": 0, "HumanoidR": 0, "Atlas": 93}
     assert table.loc["Atlas", "joint at most by (rad)"] == pytest.approx(0.2)
     assert table.loc["Atlas", "lifted at most by (mm)"] == pytest.approx(24, abs=1)
@@ -202,7 +199,7 @@ def test_a_hand_is_off_where_its_target_is_behind_and_the_shoulder_at_its_limit(
     index: int, human: Motion, results: list[IKResult]
 ) -> None:
     result = results[index]
-    table = retargeting.hands(human, [result])
+    table = page.hands(human, [result])
     assert (table["behind (%)"] == 100).all()
     assert (table["at limit (%)"] == 100).all()
     assert (table["outward (mm)"] > table["forward (mm)"]).all()
@@ -251,7 +248,7 @@ def test_no_pose_of_the_arm_brings_a_hand_much_closer(
     result = results[index]
     off = result.residuals[:, TARGETS.index(f"{side}_hand")]
     frame = int(off.argmax())
-    target = retargeting.hand_targets(human, result)[frame, SIDES.index(side)]
+    target = page.hand_targets(human, result)[frame, SIDES.index(side)]
     found, least = closest(result, side, frame, target)
     assert found == pytest.approx(off[frame], rel=0.01)
     assert found - 0.021 < least <= found
@@ -261,14 +258,15 @@ def test_no_pose_of_the_arm_brings_a_hand_much_closer(
 
 
 def test_film_shows_the_bodies_beside_the_man_in_real_time(
-    human: Motion, results: list[IKResult]
+    human: Motion, results: list[IKResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if why := rendering.why_no_pictures("Humanoid"):
+    if why := film.why_no_pictures("Humanoid"):
         pytest.skip(why)
-    clip = retargeting_video.beside(human, results[:1], 0.1)
+    monkeypatch.setattr(film, "PANEL", (80, 110))
+    clip = page.beside(human, results[:1], 0.1)
     assert clip.frames_per_s == 20
-    assert clip.frames.shape == (3, 440, 2 * 320 + 8, 3)
-    man, gap, body = np.split(clip.frames, [320, 328], axis=2)
+    assert clip.frames.shape == (3, 110, 2 * 80 + 8, 3)
+    man, gap, body = np.split(clip.frames, [80, 88], axis=2)
     assert (gap == 255).all()
     assert not np.array_equal(man, body)
     for panel in (man, body):
@@ -280,4 +278,4 @@ def test_film_refuses_a_duration_that_is_not_positive(
     duration_s: float, human: Motion, results: list[IKResult]
 ) -> None:
     with pytest.raises(SilemError, match="not a positive number of seconds"):
-        retargeting_video.beside(human, results, duration_s)
+        page.beside(human, results, duration_s)

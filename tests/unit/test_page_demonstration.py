@@ -20,9 +20,9 @@ from silem.motion.demonstrator import CLIPS, Motion, published_motion
 from silem.motion.features import FEATURES, POINTS, Landmarks
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import standing_feet
-from silem.report import motion_video, rendering, style
-from silem.report.figures import motion as figures
-from silem.util.errors import SilemError
+from silem.report import film, style
+from silem.report.pages import demonstration as page
+from silem.report.stick_figure import SIDE_COLORS
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def motion() -> Motion:
 
 def spans(figure: Figure, side: str) -> list[tuple[float, float]]:
     """The shaded stretches of time of one side in the first panel."""
-    color = figures.SIDE_COLORS[side]
+    color = SIDE_COLORS[side]
     patches = [p for p in figure.axes[0].patches if isinstance(p, Rectangle | Polygon)]
     shown = [p.get_extents().transformed(figure.axes[0].transData.inverted()) for p in patches]
     colors = [to_hex(patch.get_facecolor()).upper() for patch in patches]
@@ -46,7 +46,7 @@ def spans(figure: Figure, side: str) -> list[tuple[float, float]]:
 
 
 def test_every_feature_is_drawn_once_with_its_unit_and_side(motion: Motion) -> None:
-    figure = figures.features(motion)
+    figure = page.features(motion)
     drawn = [line for axes in figure.axes for line in axes.lines]
     assert len(figure.axes) == 15
     assert len(drawn) == len(FEATURES)
@@ -57,13 +57,13 @@ def test_every_feature_is_drawn_once_with_its_unit_and_side(motion: Motion) -> N
         title = line.axes.get_title(loc="left")
         assert f"({feature.unit})" in title if feature.unit else "(" not in title, feature.name
         side = feature.name.partition("_")[0]
-        assert line.get_color() == figures.SIDE_COLORS.get(side, style.INK), feature.name
+        assert line.get_color() == SIDE_COLORS.get(side, style.INK), feature.name
         assert line.get_xdata()[-1] == pytest.approx(motion.duration_s)
     assert_readable(figure)
 
 
 def test_panels_are_shaded_while_a_foot_stands(motion: Motion) -> None:
-    figure = figures.features(motion)
+    figure = page.features(motion)
     for side, stands in zip(SIDES, standing_feet(motion).T, strict=True):
         shaded = spans(figure, side)
         times = np.flatnonzero(stands) / motion.rate_hz
@@ -74,29 +74,26 @@ def test_panels_are_shaded_while_a_foot_stands(motion: Motion) -> None:
     # negative control: feet that glide never stand
     glide = np.arange(len(motion.points))[:, None, None] * np.array([0.02, 0.0, 0.0])
     gliding = dataclasses.replace(motion, points=motion.points[:1] + glide)
-    assert not any(spans(figures.features(gliding), side) for side in SIDES)
+    assert not any(spans(page.features(gliding), side) for side in SIDES)
 
 
 def test_poses_join_the_landmarks_and_keep_proportions(motion: Motion) -> None:
-    figure = figures.poses(motion, n_poses=4)
+    figure = page.poses(motion)
     (axes,) = figure.axes
     assert axes.get_aspect() == 1
     bones = [c for c in axes.collections if isinstance(c, LineCollection)]
     shown = np.concatenate([collection.get_segments() for collection in bones])
-    assert len(shown) == 4 * 13  # a tree over 14 landmarks
+    assert len(shown) == 6 * 13  # a tree over 14 landmarks
     last = motion.points[-1][:, [0, 2]]
     knee, foot = last[POINTS.index("left_knee")], last[POINTS.index("left_foot")]
     assert any(np.allclose(segment, [knee, foot]) for segment in shown)
     times = [float(text[:-2]) for text in texts(figure) if text.endswith(" s")]
-    assert times == pytest.approx([0.0, 31 / 40, 61 / 40, 2.3], abs=0.006)
+    assert times == pytest.approx([0.0, 0.45, 0.93, 1.38, 1.85, 2.3], abs=0.006)
     assert_readable(figure)
-    for n_poses in (1, len(motion.points) + 1):
-        with pytest.raises(SilemError, match=f"{n_poses} poses of 93 states; allowed: 2 to all"):
-            figures.poses(motion, n_poses)
 
 
 def test_the_table_has_every_clip_as_it_was_published() -> None:
-    table = figures.clips().set_index("clip")
+    table = page.clips().set_index("clip")
     assert list(table.index) == list(CLIPS)
     for clip in ("08_01", "08_04"):
         qpos, row = published_motion(clip).qpos, table.loc[clip]
@@ -111,13 +108,13 @@ def test_the_table_has_every_clip_as_it_was_published() -> None:
 
 
 def test_the_model_is_the_one_whose_distances_the_paper_gives() -> None:
-    distances = figures.torso_distances_m()
-    assert round(distances["foot"], 2) == paper.number("feet_distances")[0]
-    assert round(distances["hand"], 2) == paper.number("hand_distances")[0]
+    distances = page.limb_distances_m(film.man())
+    assert round(distances["left_foot"], 2) == paper.number("feet_distances")[0]
+    assert round(distances["left_hand"], 2) == paper.number("hand_distances")[0]
 
 
 def test_the_film_shows_the_landmarks_of_the_published_motion(motion: Motion) -> None:
-    model = mujoco.MjModel.from_xml_string(motion_video.demonstrator().model_xml())
+    model = mujoco.MjModel.from_xml_string(film.man().model_xml())
     data, landmarks = mujoco.MjData(model), Landmarks(model, demonstrator.SKELETON)
     for state in (0, 40, 92):
         data.qpos[:] = motion.qpos[state]
@@ -126,11 +123,8 @@ def test_the_film_shows_the_landmarks_of_the_published_motion(motion: Motion) ->
 
 
 def test_the_film_has_the_speed_of_the_walk(motion: Motion) -> None:
-    if why := rendering.why_no_pictures("Humanoid"):
+    if why := film.why_no_pictures("Humanoid"):
         pytest.skip(why)
-    clip = motion_video.film(motion, states_per_picture=46)
-    assert clip.frames.shape == (3, 480, 640, 3)
-    assert clip.duration_s == pytest.approx(3 * 46 / 40)
-    assert np.abs(np.diff(clip.frames.astype(int), axis=0)).mean(axis=(1, 2, 3)).min() > 1
-    with pytest.raises(SilemError, match="states_per_picture = 0; allowed: 1 or more"):
-        motion_video.film(motion, states_per_picture=0)
+    clip = film.motion(film.man(), motion.qpos[:5], motion.rate_hz, size=(160, 120))
+    assert clip.duration_s == pytest.approx(3 / 20)
+    assert np.abs(np.diff(clip.frames.astype(int), axis=0)).max(axis=(1, 2, 3)).min() > 1

@@ -1,0 +1,243 @@
+"""Build the book: execute the notebooks, stage them with the prose, run jupyter-book.
+
+``python -m silem.report.build`` is what ``make book`` calls; with ``--figures`` it redraws instead
+the committed files of `FIGURES`. The steps are separate:
+
+1. papermill executes every notebook in its own process, a few at a time (`execute`);
+2. the executed copies and ``book/`` are laid out as one source tree in ``_build/source``
+   (`stage`), so that a page has the same path in the repository and in the book;
+3. jupyter-book turns that tree into ``_build/html`` with execution off (`build_html`).
+
+A failing notebook or a Sphinx warning fails the build.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from silem.report import results, style
+from silem.report.figures.trials import normalised_scores
+from silem.util.errors import SilemError
+from silem.util.files import lock, read_json, write_json
+from silem.util.paths import REPO, data_dir
+
+Parameters = Mapping[str, Mapping[str, Any]]
+"""By the notebook's name, the parameters that differ from its defaults."""
+
+BOOK_PARAMETERS: Parameters = {
+    "01_bodies": {"video_s": 6.0},
+    "02_experts": {"budget": "quick", "video_s": 6.0},
+    "04_imitate": {"body": "HC0", "budget": "quick", "video_s": 6.0},
+    "05_halfcheetah": {"video_s": 7.0},
+    "09_demonstration": {"video_s": 60.0},  # all of it
+    "10_humanoids": {"n_episodes": 100, "video_s": 2.0},
+    "11_retargeting": {"film_all": True, "video_s": 2.3},
+    "12_walking": {"budget": "book", "video_s": 6.0},
+}
+"""The book's own; the notebooks' defaults are made for tests."""
+
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "halfcheetah.svg": lambda: normalised_scores(results.load_records("halfcheetah", "book"))
+}
+"""The figures that stand as files in ``book/figures``: the same records give the same bytes."""
+
+_CELL_TIMEOUT_S = 900
+_STATE = "book.json"  # what a finished build was made from
+_FOLDED = {
+    "parameters": "Show the parameters",
+    "injected-parameters": "Show the parameters set for this book",
+}
+
+
+def notebooks() -> list[Path]:
+    """Return the book's notebooks in their order."""
+    return sorted((REPO / "notebooks").glob("[0-9][0-9]_*.ipynb"))
+
+
+def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
+    """Draw every one of `FIGURES` into a folder and return the files."""
+    for name, draw in FIGURES.items():
+        style.save(draw(), folder / name)
+    return [folder / name for name in FIGURES]
+
+
+def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
+    """Execute notebooks side by side, each in a process of its own, with a progress bar.
+
+    Args:
+        paths: The notebooks.
+        folder: Receives the executed copies, failed ones too; what it held before is removed.
+        n_workers: How many run at a time.
+        parameters: By the notebook's name, those that differ from its defaults.
+
+    Raises:
+        SilemError: If a notebook failed, once all have run; the message holds each failure.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    failures: dict[str, str] = {}
+    bar = tqdm(total=len(paths), desc="notebooks", unit="page")
+    with bar, ThreadPoolExecutor(n_workers) as pool:
+        futures = {
+            pool.submit(_papermill, path, folder / path.name, parameters.get(path.stem, {})): path
+            for path in paths
+        }
+        for future in as_completed(futures):
+            name, (seconds, error) = futures[future].stem, future.result()
+            failures |= {name: error} if error else {}
+            bar.write(f"  {name:<20} {seconds:6.1f} s  {'FAILED' if error else 'done'}")
+            bar.update()
+    if failures:
+        raise SilemError("\n\n".join(f"{n} failed:\n{e}" for n, e in sorted(failures.items())))
+
+
+def _papermill(notebook: Path, target: Path, parameters: Mapping[str, Any]) -> tuple[float, str]:
+    """Execute one notebook; return the seconds it took and the end of its error, "" for none."""
+    command = [sys.executable, "-m", "papermill", "--no-progress-bar", "--kernel", "python3"]
+    command += ["--cwd", str(notebook.parent), "--execution-timeout", str(_CELL_TIMEOUT_S)]
+    for name, value in parameters.items():
+        command += ["-p", name, str(value)]
+    command += [str(notebook), str(target)]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
+    started = time.perf_counter()
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    error = (done.stderr.strip() or "no message")[-3000:] if done.returncode else ""
+    return time.perf_counter() - started, error
+
+
+def stage(executed: Path, target: Path) -> None:
+    """Lay out the sources of the book: configuration, prose, notebooks with parameters folded away.
+
+    Args:
+        executed: The folder of executed notebooks.
+        target: The source tree for jupyter-book; replaced.
+    """
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(REPO / "book", target / "book", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("_config.yml", "_toc.yml"):
+        shutil.copy2(REPO / name, target / name)
+    (target / "notebooks").mkdir()
+    for path in sorted(executed.glob("*.ipynb")):
+        notebook = nbformat.read(path, as_version=4)
+        for cell in notebook.cells:
+            tags = cell.metadata.get("tags", [])
+            for tag in _FOLDED.keys() & set(tags):
+                cell.metadata["tags"] = [*tags, *({"hide-input"} - set(tags))]
+                cell.metadata["mystnb"] = {"code_prompt_show": _FOLDED[tag]}
+        nbformat.write(notebook, target / "notebooks" / path.name)
+
+
+def build_html(source: Path, output: Path) -> None:
+    """Run jupyter-book on a staged source tree, warnings being errors.
+
+    Args:
+        source: The staged source tree.
+        output: The folder under which ``_build/html`` appears; an older build is replaced.
+
+    Raises:
+        SilemError: If jupyter-book reports an error or a warning.
+    """
+    for stale in ("html", ".doctrees", "jupyter_execute"):
+        shutil.rmtree(output / "_build" / stale, ignore_errors=True)
+    program = Path(sys.executable).with_name("jupyter-book")
+    command = [str(program), "build", str(source), "--path-output", str(output)]
+    command += ["-W", "-n", "--keep-going", "-q"]
+    # sphinx-external-toc looks at every object there is, torch's deprecated ones included.
+    environment = os.environ | {"PYTHONWARNINGS": "ignore::FutureWarning"}
+    if subprocess.run(command, env=environment, check=False).returncode:
+        raise SilemError("the book did not build; its warnings and errors are listed above")
+
+
+def source_digest() -> str:
+    """Return one SHA-256 over everything the book is made from: code, words, records."""
+    folders = [REPO / name for name in ("book", "notebooks", "silem", "data/search")]
+    folders += [data_dir() / name for name in ("results", "demonstrations")]
+    found = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+    found += [REPO / name for name in ("_config.yml", "_toc.yml", "environment.txt")]
+    digest = hashlib.sha256()
+    for path in sorted(path for path in found if "__pycache__" not in path.parts):
+        digest.update(str(path).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def current(root: Path = REPO) -> Path | None:
+    """Return the pages under `root`, None unless they were built from what is here now."""
+    pages, state = root / "_build" / "html", root / "_build" / _STATE
+    built = (pages / "index.html").exists() and state.exists()
+    return pages if built and read_json(state)["digest"] == source_digest() else None
+
+
+def build(
+    n_workers: int = 2,
+    reuse_executed: bool = False,
+    root: Path = REPO,
+    parameters: Parameters = BOOK_PARAMETERS,
+) -> Path:
+    """Build the whole book in ``_build`` under `root`.
+
+    Args:
+        n_workers: How many notebooks run at a time.
+        reuse_executed: Take the notebooks executed last time, where there are any.
+        root: The folder to build under.
+        parameters: By the notebook's name, those that differ from its defaults.
+
+    Returns:
+        The folder of its pages.
+
+    Raises:
+        SilemError: If a notebook or a page fails, or another build is under way.
+    """
+    folder = root / "_build"
+    executed, source = folder / "executed", folder / "source"
+    with lock(folder / "book.lock"):
+        (folder / _STATE).unlink(missing_ok=True)
+        digest = source_digest()
+        if not (reuse_executed and any(executed.glob("*.ipynb"))):
+            execute(notebooks(), executed, n_workers, parameters)
+        stage(executed, source)
+        build_html(source, root)
+        if not reuse_executed:
+            write_json(folder / _STATE, {"digest": digest})
+    return folder / "html"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Build the book, or draw its figures, from the command line; return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m silem.report.build", description=__doc__)
+    parser.add_argument("--workers", type=int, default=2, help="notebooks at a time")
+    parser.add_argument(
+        "--reuse-executed", action="store_true", help="take the notebooks executed last time"
+    )
+    parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
+    options = parser.parse_args(arguments)
+    started = time.perf_counter()
+    try:
+        if options.figures:
+            print(*(path.relative_to(REPO) for path in draw_figures()), sep="\n")
+        else:
+            pages = build(options.workers, options.reuse_executed)
+            seconds = time.perf_counter() - started
+            print(f"The book is built ({seconds:.0f} s). Open {pages / 'index.html'}")
+    except SilemError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,345 @@
+"""Films: a body at rest, under a policy or along a motion; labelled grids of them; their files.
+
+A picture is a uint8 array (H, W, 3), a `Clip` a sequence of them. Every clip comes from `rollout`
+(what a policy does) or from `motion` (given poses), with one frame for every two control steps.
+Clips become H.264 that every browser plays, by the encoder that imageio-ffmpeg brings along.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import imageio_ffmpeg  # type: ignore[import-untyped]
+import mujoco
+import numpy as np
+from dm_control.suite import humanoid_CMU
+from matplotlib import font_manager
+from PIL import Image, ImageDraw, ImageFont
+from tqdm import tqdm
+
+import silem
+from silem import bodies
+from silem.bodies import Body, BulletBody, MujocoBody
+from silem.envs import MujocoCamera
+from silem.envs.bullet.camera import Camera
+from silem.envs.bullet.simulator import Simulator
+from silem.envs.mujoco.simulator import Simulation, body_of
+from silem.motion import demonstrator
+from silem.study.evaluate import Policy, random_policy
+from silem.study.policies import load_policy
+from silem.study.record import RunRecord
+from silem.util import files, seeding
+from silem.util.errors import SilemError, choose
+
+Size = tuple[int, int]
+
+SIZE: Size = (640, 480)
+"""Width and height of a film by itself, pixels."""
+
+PANEL: Size = (320, 440)
+"""Width and height of one humanoid in a grid, pixels."""
+
+_STEPS_PER_FRAME = 2  # 30 frames a second of runners, 20 of humanoids
+_GAP = 8  # pixels between the clips of a grid; even, as a video's width has to be
+_INK, _CHALK = (32, 32, 32), (245, 245, 245)
+_DARK = 96  # a background of less light than this gets a label in chalk
+_LABEL_SIZE = 0.055  # of the picture's height
+_STRIP_WIDTH, _WEBP_WIDTH = 1500, 320
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A body in motion.
+
+    Attributes:
+        frames: Pictures (T, H, W, 3), uint8.
+        frames_per_s: Pictures per second of simulated time, so that it plays at real speed.
+    """
+
+    frames: np.ndarray
+    frames_per_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """Length in seconds."""
+        return len(self.frames) / self.frames_per_s
+
+
+# ---------------------------------------------------------------- scenes
+
+
+def rollout(
+    body: Body | str,
+    policy: Policy | None = None,
+    *,
+    duration_s: float = 6.0,
+    seed: int = 0,
+    size: Size = SIZE,
+) -> Clip:
+    """Film a policy from the start of an episode; it acts stochastically, as in evaluation.
+
+    The clip ends where the episode does, if that comes first.
+
+    Args:
+        body: A body, or a registered body's name.
+        policy: The policy; None for uniformly random actions.
+        duration_s: Simulated time to film, seconds.
+        seed: Seed of the start state and of the policy's random numbers.
+        size: Width and height of the pictures, pixels.
+
+    Raises:
+        SilemError: The body is unknown, the duration is not positive, or nothing can be drawn
+            offscreen here.
+    """
+    found = bodies.get(body) if isinstance(body, str) else body
+    if not (duration_s > 0 and math.isfinite(duration_s)):
+        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    frame_s = _STEPS_PER_FRAME * found.control_step_s
+    n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
+    policy = policy or random_policy(found)
+    if hasattr(policy, "reseed"):
+        policy.reseed(seeding.child_seed(seed, "video policy"))
+    made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    with closing(made) as env:
+        env.picture_size = size
+        observations: Any = env.reset()
+        frames: list[Any] = [env.render()]
+        for step in tqdm(range(1, n_steps + 1), desc=f"filming {found.name}", unit="step"):
+            actions, _ = policy.predict(observations, deterministic=False)
+            observations, _, dones, _ = env.step(actions)
+            if dones[0]:  # the environment stands at its next start already
+                break
+            if step % _STEPS_PER_FRAME == 0:
+                frames.append(env.render())
+    return Clip(np.stack(frames), 1 / frame_s)
+
+
+def of_runs(runs: Mapping[str, RunRecord], duration_s: float, size: Size = SIZE) -> dict[str, Clip]:
+    """Film the policies of finished runs, all from the same seed.
+
+    Args:
+        runs: The runs by their labels.
+        duration_s: Simulated time to film, seconds.
+        size: Width and height of each, pixels.
+
+    Returns:
+        The clips by their labels, which now say when a body fell.
+    """
+    clips = {}
+    for label, run in runs.items():
+        learner, policy = run.run_config().learner, load_policy(run)
+        clip = rollout(learner, policy, duration_s=duration_s, size=size)
+        fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
+        clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
+    return clips
+
+
+def motion(
+    body: Body | str,
+    qpos: np.ndarray,
+    rate_hz: float,
+    duration_s: float = math.inf,
+    size: Size = SIZE,
+) -> Clip:
+    """Film a humanoid posed along a given motion, in real time; no physics acts.
+
+    Args:
+        body: A humanoid, or its name.
+        qpos: Positions of all joints, (T, nq).
+        rate_hz: States per second, of which every other is shown.
+        duration_s: How much of it to film, from its beginning; all of it if it is shorter.
+        size: Width and height of the pictures, pixels.
+
+    Raises:
+        SilemError: It is no humanoid, the duration is not positive, or nothing can be drawn
+            offscreen here.
+    """
+    if not duration_s > 0:
+        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
+    pictures = _pictures(body_of(body), shown, size)
+    return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
+
+
+@cache
+def man() -> MujocoBody:
+    """Return the demonstrator, on dm_control's ``humanoid_CMU``, as a body for `motion`."""
+    text, assets = humanoid_CMU.get_model_and_assets()
+    model = mujoco.MjSpec.from_string(text, include=assets)
+    return replace(
+        bodies.of_kind("Humanoid", MujocoBody),
+        name=demonstrator.BODY,
+        description="dm_control's humanoid with the proportions of CMU's subject 8",
+        build=model.to_xml,
+        motors=(),
+        skeleton=demonstrator.SKELETON,
+        standing_pose=tuple(model.compile().qpos0.tolist()),
+    )
+
+
+def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
+    """Picture (H, W, 3) a body at rest: a humanoid standing, a runner's joints as near zero.
+
+    Args:
+        body: A body, or a registered body's name.
+        size: Width and height of the picture, pixels.
+        span_m: Width of what is seen at a runner, metres; None lets the body fit.
+
+    Raises:
+        SilemError: The body is unknown, the size or the span is not positive, there is a span for
+            a humanoid, or nothing can be drawn offscreen here.
+    """
+    found = bodies.get(body) if isinstance(body, str) else body
+    if isinstance(found, MujocoBody):
+        if span_m is not None:
+            raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
+        return _pictures(found, np.array([found.standing_pose]), size)[0]
+    assert isinstance(found, BulletBody)
+    with closing(Simulator(found)) as simulator:
+        simulator.reset([min(max(0.0, low), high) for low, high in simulator.limits])
+        return Camera(simulator, *size, span_m).picture()
+
+
+def why_no_pictures(body: str) -> str:
+    """Return why a body cannot be pictured here, "" if it can: humanoids need OpenGL offscreen."""
+    if not isinstance(bodies.get(body), MujocoBody):
+        return ""
+    try:
+        still(body, (8, 8))
+    except SilemError as error:
+        return str(error)
+    return ""
+
+
+def _pictures(body: MujocoBody, poses: np.ndarray, size: Size) -> np.ndarray:
+    """Picture a humanoid in each of some poses (T, nq): (T, H, W, 3)."""
+    simulation = Simulation(body, 1)
+    with closing(MujocoCamera(simulation, *size)) as camera:
+        at_rest, pictures = np.zeros(simulation.model.nv), []
+        for pose in poses:
+            simulation.place(0, pose, at_rest)
+            pictures.append(camera.picture())
+        return np.stack(pictures)
+
+
+# ---------------------------------------------------------------- cutting
+
+
+def grid(clips: Mapping[str, Clip], n_columns: int = 3) -> Clip:
+    """Lay clips out in rows, each under its label; one that ends early holds its last frame.
+
+    Raises:
+        SilemError: There are no clips, or they differ in frame rate or size.
+    """
+    if len({(clip.frames_per_s, clip.frames.shape[1:]) for clip in clips.values()}) != 1:
+        raise SilemError("the clips of a grid need one frame rate and one size, and there is none")
+    first = next(iter(clips.values()))
+    n_columns, (height, width) = min(n_columns, len(clips)), first.frames.shape[1:3]
+    n_rows, n_frames = -(-len(clips) // n_columns), max(len(c.frames) for c in clips.values())
+    down, across = height + _GAP, width + _GAP
+    frames = np.full((n_frames, n_rows * down - _GAP, n_columns * across - _GAP, 3), 255, np.uint8)
+    for index, (label, clip) in enumerate(clips.items()):
+        top, left = down * (index // n_columns), across * (index % n_columns)
+        shown = np.minimum(np.arange(n_frames), len(clip.frames) - 1)
+        panel = frames[:, top : top + height, left : left + width]
+        panel[:] = _labelled(clip, label).frames[shown]
+    return Clip(frames, first.frames_per_s)
+
+
+def _labelled(clip: Clip, label: str) -> Clip:
+    """Write a label into the upper left corner of every frame of a clip."""
+    height, width = clip.frames.shape[1:3]
+    font = ImageFont.truetype(
+        font_manager.findfont("DejaVu Sans"), size=max(9, round(_LABEL_SIZE * height))
+    )
+    plate = Image.new("L", (width, height), 0)
+    corner = round(_LABEL_SIZE * height / 2)
+    ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
+    ink = (np.asarray(plate, np.float32) / 255)[:, :, None]
+    covered = clip.frames[:, ink[:, :, 0] > 0]
+    color = _CHALK if covered.size and covered.mean() < _DARK else _INK
+    frames = clip.frames * (1 - ink) + np.array(color, np.float32) * ink
+    return replace(clip, frames=frames.round().astype(np.uint8))
+
+
+def strip(clip: Clip, n_frames: int = 5) -> np.ndarray:
+    """Lay equally spaced frames of a clip side by side, from first to last: a film on paper.
+
+    Of a clip with fewer frames than asked for, all are shown.
+    """
+    chosen = np.linspace(0, len(clip.frames) - 1, min(n_frames, len(clip.frames)))
+    whole = Image.fromarray(np.concatenate(list(clip.frames[chosen.round().astype(int)]), axis=1))
+    height = max(1, round(whole.height * _STRIP_WIDTH / whole.width))
+    return np.asarray(whole.resize((_STRIP_WIDTH, height), Image.Resampling.LANCZOS))
+
+
+# ---------------------------------------------------------------- files
+
+
+def encode_mp4(clip: Clip) -> bytes:
+    """Encode a clip as H.264 in an mp4 file (yuv420p, index first: plays while it loads).
+
+    The same clip always gives the same bytes.
+
+    Raises:
+        SilemError: The encoder cannot run, or has no room for its temporary file.
+    """
+    height, width = (size - size % 2 for size in clip.frames.shape[1:3])  # yuv420p: even sizes
+    options = ["-crf", "28", "-preset", "slow", "-threads", "1", "-movflags", "+faststart"]
+    options += ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "clip.mp4"
+            writer = imageio_ffmpeg.write_frames(
+                str(path), (width, height), fps=clip.frames_per_s, codec="libx264",
+                pix_fmt_out="yuv420p", quality=None, macro_block_size=2, output_params=options,
+                ffmpeg_log_level="error",
+            )  # fmt: skip
+            writer.send(None)
+            for frame in np.ascontiguousarray(clip.frames[:, :height, :width]):
+                writer.send(frame)
+            writer.close()
+            return path.read_bytes()
+    except (OSError, RuntimeError) as error:
+        raise SilemError(f"the video encoder failed: {error}") from error
+
+
+def encode_webp(clip: Clip) -> bytes:
+    """Encode a clip as an animated WebP picture, small, for places that play no video."""
+    height, width = clip.frames.shape[1:3]
+    size = (_WEBP_WIDTH, round(_WEBP_WIDTH * height / width))
+    pictures = [Image.fromarray(frame).resize(size) for frame in clip.frames]
+    memory = io.BytesIO()
+    pictures[0].save(
+        memory, "WEBP", save_all=True, append_images=pictures[1:], loop=0, quality=40, method=6,
+        duration=round(1000 / clip.frames_per_s),
+    )  # fmt: skip
+    return memory.getvalue()
+
+
+_ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
+
+
+def write(path: Path, clip: Clip) -> None:
+    """Write a clip as an mp4 or a webp file, whichever its name ends in, atomically.
+
+    Raises:
+        SilemError: The name ends in anything else, or the file cannot be written; one that was
+            there before is untouched.
+    """
+    files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()

@@ -1,0 +1,222 @@
+"""The page of the humanoids: Figure 3a, limb distances, the reward's factors, falls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pandas.io.formats.style import Styler
+
+from silem import bodies, paper
+from silem.bodies import MujocoBody
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
+from silem.envs.mujoco import task as walking
+from silem.envs.mujoco.simulator import Simulation, body_of, start_state
+from silem.envs.mujoco.task import Reading
+from silem.motion.demonstrator import Motion
+from silem.motion.features import POINTS
+from silem.report import film, stick_figure, style
+from silem.report.pages.demonstration import limb_distances_m
+from silem.report.stick_figure import MARGIN_M
+from silem.report.tables import DASH, number, styled
+from silem.util import seeding
+from silem.util.errors import SilemError
+
+# ---------------------------------------------------------------- Figure 3a
+
+_N_POSES = 7
+_AZIMUTH_DEG = 25.0  # seen from the right and a little from the front, level with the floor
+_METRE = float(np.cos(np.deg2rad(_AZIMUTH_DEG)))  # a metre of the way, as long as it is seen
+_PORTRAIT = 480, 600  # pixels
+
+
+def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
+    """Draw Figure 3a: the demonstrator's walk, and below it the bodies that learn from it.
+
+    Strokes on the floor are a metre apart along x, the way that he walks. Where nothing can be
+    drawn offscreen, a body's panel says so.
+
+    Args:
+        motion: The demonstrator's motion.
+        names: The humanoids.
+    """
+    points = motion.points
+    rows: list[Any] = [["walk"] * len(names), list(names)]
+    with style.applied():
+        figure = Figure(figsize=(style.WIDTH_IN, 5.9), layout="constrained")
+        panels = figure.subplot_mosaic(rows, height_ratios=[1, 1.2])
+        walk = panels["walk"]
+        _floor(walk, _project(points))
+        shown = stick_figure.equal_times(len(points), _N_POSES)
+        for rank, state in enumerate(shown, start=1):
+            stick_figure.draw(walk, _project(points[state]), alpha=0.35 + 0.65 * rank / _N_POSES)
+        way_m = float(np.linalg.norm(points[-1, 0, :2] - points[0, 0, :2]))
+        walk.set_title(f"The demonstrator: {way_m:.1f} m in {motion.duration_s:.1f} s")
+        for name in names:
+            panels[name].set_title(name)
+            _portrait(panels[name], name)
+    return figure
+
+
+def _portrait(axes: Axes, name: str) -> None:
+    """Show a humanoid standing, or say that it cannot be drawn."""
+    try:
+        style.picture(axes, film.still(body_of(name), _PORTRAIT))
+    except SilemError:
+        style.picture(axes, np.full((*_PORTRAIT[::-1], 3), 255, np.uint8))
+        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
+
+
+def _project(points: np.ndarray) -> np.ndarray:
+    """Project points (..., 3) onto the picture, in m: to the right and up, (..., 2)."""
+    azimuth = np.deg2rad(_AZIMUTH_DEG)
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    return points @ np.stack([right, [0.0, 0.0, 1.0]], axis=1)
+
+
+def _floor(axes: Axes, points: np.ndarray) -> None:
+    """Set the limits so that the whole walk (T, P, 2) is seen, undistorted, on its floor."""
+    low, high = points.min(axis=(0, 1)) - MARGIN_M, points.max(axis=(0, 1)) + MARGIN_M
+    axes.set(xlim=(low[0], high[0]), ylim=(min(low[1], -MARGIN_M), high[1]), aspect="equal")
+    axes.axhline(0.0, color=style.FAINT, lw=1.5, zorder=0)
+    strokes = np.arange(np.ceil(low[0] / _METRE), np.floor(high[0] / _METRE) + 1) * _METRE
+    axes.plot(strokes, np.zeros(len(strokes)), "|", ms=9, color=style.MUTED, zorder=0)
+    axes.set_axis_off()
+    look: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1, 1.12), "fontsize": 8}
+    axes.legend(handles=stick_figure.handles("side"), ncols=2, **look)
+
+
+# ---------------------------------------------------------------- limb distances
+
+DEMONSTRATOR = "demonstrator"
+_PRINTED = (DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's order
+_EQUAL_M = 0.005  # left and right are written as one number where they differ by less
+
+
+def limb_distances() -> dict[str, dict[str, float]]:
+    """Return how far hands and feet of the demonstrator and the humanoids are from the torso.
+
+    Returns:
+        Name of the body -> name of the limb, ``left_hand`` for instance -> distance in m, all
+        joints at zero.
+    """
+    found = {DEMONSTRATOR: limb_distances_m(film.man())}
+    return found | {n: limb_distances_m(body_of(n)) for n in bodies.names("humanoid")}
+
+
+def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
+    """Return a table of limb distances: the paper's, ours, and the difference.
+
+    Args:
+        found: What `limb_distances` returned.
+    """
+    rows = []
+    for body, limbs in found.items():
+        row = {("", "body"): body}
+        for part, limb in (("feet", "foot"), ("hand", "hand")):
+            left, right = (limbs[f"{side}_{limb}"] for side in ("left", "right"))
+            mean, equal = (left + right) / 2, abs(left - right) < _EQUAL_M
+            both = f"{number(left, 2)} left, {number(right, 2)} right"
+            printed = dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True)).get(body)
+            heading = f"{limb.replace('foot', 'feet').replace('hand', 'hands')} from the torso (m)"
+            row[heading, "paper"] = number(printed, 2)
+            row[heading, "ours"] = number(mean, 2) if equal else both
+            row[heading, "difference"] = DASH if printed is None else _signed(mean - printed)
+        rows.append(row)
+    columns = pd.MultiIndex.from_tuples(list(rows[0]))
+    return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
+
+
+def _signed(value: float) -> str:
+    rounded = round(float(value), 2) + 0.0  # never a negative zero
+    return ("+" if rounded > 0 else "") + number(rounded, 2)
+
+
+# ---------------------------------------------------------------- the reward
+
+_SUITE_SPEED_M_S = 1.0  # what dm_control's own task asks for
+_N = 201  # points of a curve
+
+
+def reward_factors() -> Figure:
+    """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
+
+    The curves are computed by the environments' own `silem.envs.mujoco.task.rewards`.
+    """
+    body = bodies.of_kind("Humanoid", MujocoBody)
+    head_m = np.linspace(0.0, 1.2 * body.standing_head_m, _N)
+    tilt_rad = np.linspace(0.0, np.pi, _N)
+    torque, speed_m_s = np.linspace(0.0, 1.0, _N), np.linspace(0.0, 2.5, _N)
+    with style.applied():
+        figure, (standing, upright, control, move) = style.new_figure(2.5, ncols=4, sharey=True)
+        standing.plot(head_m, _rewards(body, head_m=head_m), color=style.INK)
+        standing.axvspan(0.0, body.fall_head_m, color=style.FAINT, lw=0)
+        standing.set(title="Standing", xlabel="head's height (m)", ylabel="factor of the reward")
+        upright.plot(np.rad2deg(tilt_rad), _rewards(body, tilt_rad=tilt_rad), color=style.INK)
+        upright.set(title="Upright", xlabel="torso's tilt (degrees)", xticks=[0, 90, 180])
+        control.plot(torque, _rewards(body, torque=torque), color=style.INK)
+        control.set(title="Small control", xlabel="size of all actions")
+        for target, line in ((DEMONSTRATOR_SPEED_M_S, "-"), (_SUITE_SPEED_M_S, ":")):
+            rewards = _rewards(body, target, speed_m_s=speed_m_s)
+            move.plot(speed_m_s, rewards, line, color=style.INK, label=f"target {target:g} m/s")
+        move.set(title="Speed", xlabel="horizontal speed (m/s)", ylim=(0, 1.05))
+        move.legend(fontsize=7.5, loc="lower right")
+    return figure
+
+
+def _rewards(
+    body: MujocoBody, target_m_s: float = DEMONSTRATOR_SPEED_M_S, **given: np.ndarray
+) -> np.ndarray:
+    """Return rewards (N,) of made-up states that are perfect but in the quantity given."""
+    perfect = {"head_m": body.standing_head_m, "tilt_rad": 0.0, "torque": 0.0}
+    state: dict[str, Any] = {**perfect, "speed_m_s": target_m_s, **given}
+    points, axes, velocity = np.zeros((_N, len(POINTS), 3)), np.zeros((_N, 3, 3)), np.zeros((_N, 3))
+    points[:, POINTS.index("head"), 2] = state["head_m"]
+    axes[:, 2, 2] = np.cos(state["tilt_rad"])
+    velocity[:, 0] = state["speed_m_s"]
+    actions = np.zeros((_N, 1)) + np.reshape(state["torque"], (-1, 1))
+    reading = Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
+    return walking.rewards(reading, actions, body.standing_head_m, target_m_s)
+
+
+# ---------------------------------------------------------------- falls
+
+
+def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) -> film.Clip:
+    """Film humanoids that start as in an episode and have no policy, side by side, in real time.
+
+    Unlike an episode, the film goes on when they have fallen.
+
+    Args:
+        names: The humanoids.
+        torque: Every motor gets a random share of its greatest torque, uniformly from -torque to
+            torque and anew at every control step; 0 leaves all joints limp.
+        duration_s: Simulated time, seconds.
+        seed: Seed of start states and torques.
+
+    Raises:
+        SilemError: A body is no humanoid, the duration is not positive, the torque is not from 0
+            to 1, or nothing can be drawn offscreen here.
+    """
+    if not (duration_s > 0 and 0 <= torque <= 1):
+        raise SilemError(
+            f"duration_s = {duration_s}, torque = {torque}; allowed: above 0, and from 0 to 1"
+        )
+    clips = {}
+    for body in map(body_of, names):
+        rng = np.random.default_rng(seeding.child_seed(seed, "fall", body.name))
+        simulation = Simulation(body, 1)
+        simulation.place(0, *start_state(rng, body))
+        states = [simulation.read().qpos[0]]
+        for _ in range(round(duration_s / body.control_step_s)):
+            simulation.advance(rng.uniform(-torque, torque, (1, body.action_size)))
+            states.append(simulation.read().qpos[0])
+        clips[body.name] = film.motion(
+            body, np.stack(states), 1 / body.control_step_s, size=film.PANEL
+        )
+    return film.grid(clips)

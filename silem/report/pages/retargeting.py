@@ -1,0 +1,265 @@
+"""The page of retargeting: its film, what inverse kinematics could not reach, limits, foot skate.
+
+Everywhere `human` is the demonstrator's motion, and `results` is the same motion on some bodies.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+
+from silem.envs.mujoco.simulator import body_of
+from silem.motion import retargeted
+from silem.motion.demonstrator import Motion
+from silem.motion.features import POINTS
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import (
+    TARGETS,
+    TOLERANCE_M,
+    IKResult,
+    Limbs,
+    demonstration_states,
+    foot_speeds_m_s,
+    learner,
+    standing_feet,
+    targets,
+)
+from silem.report import film, stick_figure, style
+from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
+from silem.study.config import RunConfig
+from silem.study.settings import HUMAN
+
+_N_POSES = 5
+_TOP_JOINTS = 8
+_DASHES = (0, (4, 3))
+_LINES = {
+    "left hand": (SIDE_COLORS["left"], ("left_hand",)),
+    "right hand": (SIDE_COLORS["right"], ("right_hand",)),
+    "torso": (style.INK, ("torso",)),
+    "feet, the worse one": ("#009E73", ("left_foot", "right_foot")),
+}
+"""The lines of `residuals`: a label, a colour and the targets of which the worst counts."""
+
+_OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
+
+
+def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> film.Clip:
+    """Film the demonstrator and his motion on other bodies, side by side and in real time.
+
+    No physics acts: each body is put into one pose after the other.
+
+    Args:
+        human: The demonstrator's motion.
+        results: The same motion on some bodies, a panel each.
+        duration_s: How much of it to film, from its beginning; the whole motion if that is shorter.
+
+    Raises:
+        SilemError: The duration is not positive, or nothing can be drawn offscreen here.
+    """
+    walks = {"the man": (film.man(), human.qpos)}
+    walks |= {result.body: (learner(result.body), result.qpos) for result in results}
+    return film.grid(
+        {
+            name: film.motion(body, qpos, human.rate_hz, duration_s, film.PANEL)
+            for name, (body, qpos) in walks.items()
+        },
+        n_columns=len(walks),
+    )
+
+
+# ---------------------------------------------------------------- figures
+
+
+def poses(human: Motion, result: IKResult) -> Figure:
+    """Draw poses of the demonstrator and of a learner with its hands' targets, seen from the right.
+
+    A ring around each target has the tolerance as its radius: a hand outside it has not arrived.
+    """
+    states = stick_figure.equal_times(len(human.points), _N_POSES)
+    walks = {"the man": human.points, result.body: result.points}
+    seen = stick_figure.from_the_right(np.concatenate(list(walks.values())))
+    low, high = seen.min(axis=(0, 1)) - MARGIN_M, seen.max(axis=(0, 1)) + MARGIN_M
+    with style.applied():
+        ratio = (high[1] - low[1]) / (high[0] - low[0])
+        figure, grid = style.new_figure(2 * style.WIDTH_IN * ratio + 0.6, nrows=2, sharex=True)
+        for axes, (name, points) in zip(grid, walks.items(), strict=True):
+            axes.set(xlim=(low[0], high[0]), ylim=(-0.1, high[1]), aspect="equal")
+            axes.set(title=name, ylabel="z, up (m)")
+            axes.axhline(0.0, color=style.MUTED, lw=1)
+            for state in states:
+                stick_figure.draw(axes, stick_figure.from_the_right(points[state]))
+        wanted = stick_figure.from_the_right(hand_targets(human, result)[states])
+        for places, color in zip(wanted.swapaxes(0, 1), SIDE_COLORS.values(), strict=True):
+            for place in places:
+                ring = Circle(place, TOLERANCE_M, fill=False, ec=color, lw=1.2, zorder=5)
+                grid[1].add_patch(ring)
+        grid[1].set_xlabel("x, forward (m)")
+        figure.legend(handles=stick_figure.handles("side"), loc="outside upper left", ncols=2)
+    return figure
+
+
+def residuals(results: Sequence[IKResult]) -> Figure:
+    """Draw over time how far each landmark is from its target, one panel per body."""
+    with style.applied():
+        rows = len(results)
+        figure, grid = style.new_figure(
+            0.8 + 1.45 * rows, nrows=rows, sharex=True, sharey=True, squeeze=False
+        )
+        for axes, result in zip(grid.flat, results, strict=True):
+            time_s = np.arange(len(result.residuals)) / result.rate_hz
+            for color, names in _LINES.values():
+                worst = result.residuals[:, [TARGETS.index(name) for name in names]].max(axis=1)
+                axes.plot(time_s, 1000 * worst, color=color, lw=1.5)
+            axes.axhline(1000 * TOLERANCE_M, color=style.MUTED, lw=1.2, ls=_DASHES)
+            axes.set(title=result.body, ylabel="mm", xlim=(0, time_s[-1]))
+        axes.set_ylim(bottom=-2)
+        axes.set_xlabel("time (s)")
+        lines = [style.handle(color, label, lw=1.8) for label, (color, _) in _LINES.items()]
+        label = f"tolerance, {1000 * TOLERANCE_M:.0f} mm"
+        lines.append(style.handle(style.MUTED, label, lw=1.2, ls=_DASHES))
+        figure.legend(handles=lines, loc="outside upper left", ncols=5, columnspacing=1.2)
+    return figure
+
+
+def joint_limits(results: Sequence[IKResult]) -> Figure:
+    """Draw in which share of the frames joints are at a limit: of each body the foremost ones."""
+    with style.applied():
+        figure, grid = style.new_figure(2.9, ncols=len(results), sharex=True, squeeze=False)
+        for axes, result in zip(grid.flat, results, strict=True):
+            shares = 100 * pd.Series(result.at_limit.mean(axis=0), result.joint_names)
+            top = shares[shares > 0].nlargest(_TOP_JOINTS)
+            axes.barh(range(len(top)), top, color=[stick_figure.side_color(n) for n in top.index])
+            axes.set_yticks(range(len(top)), top.index)
+            axes.set_ylim(_TOP_JOINTS - 0.4, -0.6)  # the most frequent one on top
+            axes.set(title=result.body, xlabel="frames (%)")
+            axes.grid(axis="x")
+            axes.grid(visible=False, axis="y")
+        figure.legend(handles=stick_figure.handles("side"), loc="outside upper left", ncols=2)
+    return figure
+
+
+def foot_skate(human: Motion, results: Sequence[IKResult]) -> Figure:
+    """Draw the horizontal speed of each ankle while the man's stands, his own behind it."""
+    own = _own_skate(human)
+    time_s = np.arange(len(own)) / human.rate_hz
+    with style.applied():
+        figure, grid = style.new_figure(2.5, ncols=len(results), sharey=True, squeeze=False)
+        for axes, result in zip(grid.flat, results, strict=True):
+            for side, his, speeds in zip(SIDES, own.T, result.foot_skate_m_s.T, strict=True):
+                color = SIDE_COLORS[side]
+                axes.plot(time_s, his, color=color, lw=4, alpha=0.3, solid_capstyle="butt")
+                axes.plot(time_s, speeds, color=color, lw=1.4)
+            axes.set(title=result.body, xlabel="time (s)", xlim=(0, time_s[-1]))
+            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        grid[0, 0].set_ylabel("m/s")
+        handles = stick_figure.handles("foot")
+        handles.append(style.handle(style.MUTED, "on the learner", lw=1.4))
+        handles.append(style.handle(style.MUTED, "the man's own", lw=4, alpha=0.4))
+        figure.legend(handles=handles, loc="outside upper left", ncols=4)
+    return figure
+
+
+# ---------------------------------------------------------------- tables
+
+
+def limb_ratios(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
+    """Return the demonstrator's limbs in m, and each learner's as ratios to them."""
+    rows = {"the man's, in m": Limbs.of(human.points)}
+    rows |= {f"{result.body}'s over his": result.ratios for result in results}
+    labels = [name.replace("_", " ") for name in Limbs._fields]
+    return pd.DataFrame(rows.values(), rows, labels).rename_axis("lengths")
+
+
+def hands(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
+    """Return how far each learner's hands stay from their targets, and why.
+
+    Returns:
+        One row per hand. The columns from "beyond" on are over the frames in which the hand is
+        further from its target than the tolerance: their share, by how much the hand is too far
+        forward and outward in the torso's frame, and the shares in which the target is behind the
+        shoulder and in which a joint of this arm is at a limit.
+    """
+    return pd.DataFrame([_hand(human, result, side) for result in results for side in SIDES])
+
+
+def _hand(human: Motion, result: IKResult, side: str) -> dict[str, str | float]:
+    wanted = hand_targets(human, result)[:, SIDES.index(side)]
+    hand, shoulder = (result.points[:, POINTS.index(f"{side}_{n}")] for n in ("hand", "shoulder"))
+    distance = result.residuals[:, TARGETS.index(f"{side}_hand")]
+    beyond = distance > TOLERANCE_M
+    forward, left, _ = np.einsum("tij,tj->it", human.torso_axes, hand - wanted)
+    ahead = np.einsum("tj,tj->t", human.torso_axes[:, 0], wanted - shoulder)
+    arm = re.compile(rf"{side}_(shoulder|elbow)|{side[0]}_arm_")
+    arm_joints = [bool(arm.match(name)) for name in result.joint_names]
+    stopped = result.at_limit[:, arm_joints].any(axis=1)
+
+    def mean(values: Any) -> float:
+        return float(values[beyond].mean()) if beyond.any() else float("nan")
+
+    return {
+        "body": result.body,
+        "hand": side,
+        "mean (mm)": 1000 * distance.mean(),
+        "worst (mm)": 1000 * distance.max(),
+        "beyond (%)": 100 * beyond.mean(),
+        "forward (mm)": 1000 * mean(forward),
+        "outward (mm)": 1000 * mean(_OUTWARDS[side] * left),
+        "behind (%)": 100 * mean(ahead < 0),
+        "at limit (%)": 100 * mean(stopped),
+    }
+
+
+def foot_skates(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
+    """Return mean and largest speed in m/s of each ankle while the man's feet stand, his own first.
+
+    Returns:
+        One row per body.
+    """
+    skates = {"the man": _own_skate(human)}
+    skates |= {result.body: result.foot_skate_m_s for result in results}
+    rows = {
+        name: {
+            f"{side} {what} (m/s)": of(speeds)
+            for side, speeds in zip(SIDES, skate.T, strict=True)
+            for what, of in (("mean", np.nanmean), ("largest", np.nanmax))
+        }
+        for name, skate in skates.items()
+    }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("body")
+
+
+def starts(results: Sequence[IKResult]) -> pd.DataFrame:
+    """Return what a SILEM run's body changes in the retargeted states to start episodes from them.
+
+    Returns:
+        One row per body: how many states there are, in how many a joint had to be put to its
+        limit, how far at most, and by how much the body was then lifted at most.
+    """
+    rows = []
+    for result in results:
+        body = body_of(RunConfig.create(result.body, "silem").learner)
+        qpos, _ = demonstration_states(retargeted(HUMAN, body.name), body)
+        moved = np.abs(qpos - result.qpos)
+        row = {"body": body.name, "states": len(qpos)}
+        row["changed"] = int((moved[:, 7:] > 0).any(axis=1).sum())
+        row["joint at most by (rad)"] = moved[:, 7:].max()
+        rows.append(row | {"lifted at most by (mm)": 1000 * moved[:, 2].max()})
+    return pd.DataFrame(rows)
+
+
+def hand_targets(human: Motion, result: IKResult) -> np.ndarray:
+    """Return where the left and the right hand of a learner should be, (T, 2, 3) in m."""
+    wanted = targets(human, learner(result.body)).positions
+    return wanted[:, [TARGETS.index(f"{side}_hand") for side in SIDES]]
+
+
+def _own_skate(human: Motion) -> np.ndarray:
+    """Return the speed of the demonstrator's own standing ankles in m/s, (T, 2); NaN in swing."""
+    return np.where(standing_feet(human), foot_speeds_m_s(human.points, human.rate_hz), np.nan)

@@ -1,0 +1,327 @@
+"""The page about walking: Figure 3b, the humanoids' runs read as gaits, and their films.
+
+Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import chain, zip_longest
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
+
+from silem import bodies, paper
+from silem.bodies import MujocoBody
+from silem.bodies.body import MAX_STEPS
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
+from silem.report import film, notebook, results, style, tables
+from silem.report.claims import MARGIN
+from silem.report.figures import cells, sources
+from silem.report.figures.sources import COMPARED
+
+# ---------------------------------------------------------------- Figure 3b
+
+_DOTTED = (0, (1, 1.5))  # the demonstrator
+_MAX_RETURN = paper.number("humanoid_max_return")
+
+
+_PANELS = {
+    "return_mean": ("True return of an episode: minimum, mean, maximum over trials", _MAX_RETURN),
+    "upright": ("Share of steps survived", 1.0),
+    "speed_m_s": ("Speed (m/s)", DEMONSTRATOR_SPEED_M_S),
+}
+"""Columns of the table, each with its panel's title and the highest value on its scale."""
+
+
+def humanoid_scores(frame: pd.DataFrame) -> Figure:
+    """Draw Figure 3b: the true return of SILEM, SILEM⁻, TPIL and Peng20 on every humanoid.
+
+    Above as in the paper: minimum, mean and maximum over trials of the walking reward, not
+    normalised, at most 1000. Below what that number hides: how much of an episode passes before
+    the body falls, and how fast it moves. Dashed levels are PPO on the true reward. A single trial
+    is hollow, a cell without runs is an empty slot, and a run of another number of iterations than
+    planned is a cross, with that number under its cell; crosses enter no mean.
+
+    Raises:
+        SilemError: The runs are not of humanoids.
+    """
+    frame = sources.runs_of("humanoid_scores", frame)
+    with style.applied():
+        figure = Figure(figsize=(style.WIDTH_IN, 5.6), layout="constrained")
+        rows: list[Any] = [["return_mean", "return_mean"], ["upright", "speed_m_s"]]
+        panels = figure.subplot_mosaic(rows, height_ratios=[1.4, 1])
+        for column, (title, top) in _PANELS.items():
+            axes, first = panels[column], column == "return_mean"
+            axes.set_title(title)
+            cells.body_ticks(axes, frame, scale="PPO" if first else "")
+            cells.levels(axes, frame, "ppo", column, 1.05 * top)
+            cells.draw_cells(axes, frame, COMPARED, column, cells.draw_range)
+            cells.room_for_counts(axes, 0.0, 1.04 * top, 0.18 if first else 0.04)
+        score, survived, speed = panels.values()
+        score.axhline(_MAX_RETURN, color=style.PAPER, lw=1.5, zorder=1.5)
+        score.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
+        cells.write_means(score, frame, COMPARED, "return_mean")
+        cells.trial_counts(score, frame, COMPARED, "return_mean")
+        speed.axhline(DEMONSTRATOR_SPEED_M_S, color=style.INK, lw=1.5, ls=_DOTTED)
+        for axes in (survived, speed):
+            axes.tick_params(axis="x", labelsize=8)
+        figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
+        other = "; ×: a run of another number of iterations, written below it; outside every mean"
+        note = "hollow: one trial, so no range" + (other if frame["stand_in"].any() else "")
+        sources.footer(figure, frame, note)
+    return figure
+
+
+def _handles(frame: pd.DataFrame) -> list[Line2D]:
+    """Return the legend's entries, the methods in its first row and the levels in its second."""
+    original = results.original_body(frame)
+    marks = cells.handles([style.method(method, original) for method in COMPARED])
+    speed = f"demonstrator, {DEMONSTRATOR_SPEED_M_S:g} m/s"
+    ppo = style.method("ppo", original).label
+    levels = [
+        style.handle(style.MUTED, ppo, lw=1.2, ls=cells.LEVEL_DASHES),
+        style.handle(style.PAPER, "highest possible return", lw=1.5),
+        style.handle(style.INK, speed, lw=1.5, ls=_DOTTED),
+        *([cells.cross_handle()] if frame["stand_in"].any() else []),
+    ]
+    # a legend fills its columns first
+    return [entry for entry in chain.from_iterable(zip_longest(marks, levels)) if entry is not None]
+
+
+# ---------------------------------------------------------------- gaits
+
+WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
+STANDS, FALLS = "stands", "falls"
+
+_SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
+
+
+def gait(survived: float, speed_m_s: float) -> str:
+    """Name what a policy does; who stays up and keeps his speed is named by the claims' bounds.
+
+    Args:
+        survived: Share of an episode's steps before the fall.
+        speed_m_s: Mean forward speed.
+    """
+    share = speed_m_s / DEMONSTRATOR_SPEED_M_S
+    if survived < 1 - MARGIN:
+        return FALLS
+    return next((word for word, least in _SPEEDS.items() if share >= least), STANDS)
+
+
+def gaits(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return one row for each method and number of iterations on a body: means over trials.
+
+    Returns:
+        ``body``, ``method``, ``n_iterations``, ``stand_in``, ``trials``, ``survived`` (share of an
+        episode's steps), ``survived_s``, ``speed_m_s``, ``speed_share`` (of the demonstrator's),
+        ``gait``; without the random policy.
+    """
+    orders = {"body": results.body_names(frame), "method": list(style.METHODS)}
+    ordered = {name: pd.Categorical(frame[name], order) for name, order in orders.items()}
+    runs = frame.assign(**ordered)[frame["method"] != "random"]
+    keys = ["body", "method", "stand_in", "n_iterations"]
+    found = runs.groupby(keys, observed=True, as_index=False).agg(
+        trials=("run_id", "size"), survived=("upright", "mean"), speed_m_s=("speed_m_s", "mean")
+    )
+    found = found.astype({"body": str, "method": str})
+    found["survived_s"] = found["survived"] * [_episode_s(body) for body in found["body"]]
+    found["speed_share"] = found["speed_m_s"] / DEMONSTRATOR_SPEED_M_S
+    found["gait"] = [gait(row.survived, row.speed_m_s) for row in found.itertuples()]
+    return found
+
+
+def _episode_s(body: str) -> float:
+    return MAX_STEPS * bodies.of_kind(body, MujocoBody).control_step_s
+
+
+def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return, as text, how the policies of some tables of runs move, a row per cell.
+
+    Args:
+        groups: Tables of runs by what to call them; of a single one the name is left out.
+    """
+    rows = [
+        {
+            "body": found.body,
+            "method": style.method(found.method, "").label,
+            "runs": name,
+            "iterations": style.number(found.n_iterations),
+            "trials": style.number(found.trials),
+            "steps survived": style.number(MAX_STEPS * found.survived),
+            "seconds": tables.number(found.survived_s, 1),
+            "speed (m/s)": tables.number(found.speed_m_s, 2),
+            "of the man's speed": f"{style.number(100 * found.speed_share)} %",
+            "ground covered, about (m)": tables.number(found.survived_s * found.speed_m_s, 1),
+            "gait": found.gait,
+        }
+        for name, frame in groups.items()
+        for found in gaits(frame).itertuples()
+    ]
+    table = pd.DataFrame(rows or [{"body": "no run", "method": tables.DASH, "gait": tables.DASH}])
+    return table.drop(columns="runs", errors="ignore") if len(groups) == 1 else table
+
+
+# ---------------------------------------------------------------- sentences
+
+_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
+_SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
+_MILESTONES = {
+    "return_mean": ("return", 0),
+    "episode_length": ("steps before a fall", 0),
+    "speed_m_s": ("speed (m/s)", 2),
+    "disc_reward": ("reward of D", 0),
+    "policy_std": ("policy's std", 2),
+}
+
+
+def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
+    """Return what the page says about a study: numbers and texts by name."""
+    found = gaits(frame)
+    counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
+    rising = [rise > 0 for rise in _rises(frame)]
+    said: dict[str, str | float] = {"n_cells": len(found)}
+    said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": tables.DASH}
+    said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
+    best = {"survived_s": math.nan, "speed_m_s": math.nan, "speed_share": math.nan}
+    if len(found):
+        best = found.loc[found["survived"].idxmax()]
+        length = f" ({best['n_iterations']:,} iterations)" if best["stand_in"] else ""
+        said["longest"] = f"{style.method(best['method'], '').label} on {best['body']}{length}"
+    said |= {f"longest_{name}": round(best[name], 2) for name in ("survived_s", "speed_m_s")}
+    return said | {"longest_speed_share": _whole(100 * best["speed_share"])}
+
+
+def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> dict[str, float]:
+    """Return one cell's numbers, ``<name>_steps``, ``_share`` and ``_iterations``.
+
+    They are means over its trials, over stand-ins where none is finished, and NaN without any run.
+    """
+    runs = results.cell(frame, method, body)
+    runs = runs if len(runs) else results.stand_ins(frame, method, body)
+    return {
+        f"{name}_steps": _whole(MAX_STEPS * runs["upright"].mean()),
+        f"{name}_share": _whole(100 * runs["speed_m_s"].mean() / DEMONSTRATOR_SPEED_M_S),
+        f"{name}_iterations": runs["n_iterations"].max(),
+    }
+
+
+def early_sentences(frame: pd.DataFrame, method: str, body: str) -> dict[str, float]:
+    """Return how long a cell's longest run stayed up when it was as short as the stand-ins are.
+
+    ``short_iterations`` is the commonest number of iterations of the stand-ins, ``early_steps`` the
+    longest run's steps before a fall up to there, ``late_steps`` up to its end; NaN for unknown.
+    """
+    said = dict.fromkeys(("short_iterations", "early_steps", "late_steps"), math.nan)
+    lengths = frame.loc[frame["stand_in"], "n_iterations"]
+    if run_id := longest_run(frame, method, body):
+        curve = results.load_curve(run_id)
+        said["late_steps"] = _whole(_just_before(curve, 1.0)["episode_length"])
+        if len(lengths):
+            said["short_iterations"] = short = int(lengths.mode().iloc[0])
+            early = _just_before(curve, short / curve["iteration"].max())
+            said["early_steps"] = _whole(early["episode_length"])
+    return said
+
+
+def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
+    """Return, as text, how a cell's longest run came along: means up to parts of its iterations."""
+    run_id = longest_run(frame, method, body)
+    if not run_id:
+        return pd.DataFrame([{"iterations": "no run"}])
+    curve, rows = results.load_curve(run_id), []
+    for share in _SHARES:
+        part = _just_before(curve, share)
+        row = {"iterations": style.number(share * curve["iteration"].max())}
+        for name, (heading, digits) in _MILESTONES.items():
+            row[heading] = tables.number(part[name], digits)
+        row["reward of D per step"] = tables.number(part["disc_reward"] / part["episode_length"], 2)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def longest_run(frame: pd.DataFrame, method: str, body: str) -> str:
+    """Return the id of a cell's run of the most iterations, the best one of them; "" for none."""
+    runs = frame[(frame["method"] == method) & (frame["body"] == body)]
+    ordered = runs.sort_values(["n_iterations", "return_mean"])
+    return str(ordered["run_id"].iloc[-1]) if len(ordered) else ""
+
+
+def _just_before(curve: pd.DataFrame, share: float) -> pd.Series:
+    """Return a curve's means over the last few of the iterations up to a share of them."""
+    total = curve["iteration"].max()
+    return curve[curve["iteration"].between((share - _SPAN) * total, share * total)].mean()
+
+
+def _rises(frame: pd.DataFrame) -> Iterator[float]:
+    """Yield by how much each run's return rose: the last tenth of its curve over the one before."""
+    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
+        values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
+        n = max(1, round(_TAIL * len(values)))
+        if len(values) >= 2 * n:
+            yield float(np.mean(values[-n:]) - np.mean(values[-2 * n : -n]))
+
+
+def _whole(value: float) -> float:
+    return math.nan if math.isnan(value) else round(value)
+
+
+# ---------------------------------------------------------------- films
+
+FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
+"""The methods that are filmed, in their order on the page."""
+
+_SIZE = 320, 300  # pixels of one clip
+
+
+def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
+    """Film the best trial of every method on a body, and play the clips as one grid.
+
+    Each starts from the same seed, stands still on its last picture once the body has fallen, and
+    says when that was. What cannot be filmed is named instead.
+    """
+    if why := film.why_no_pictures(body):
+        notebook.note(f"No videos of {body}: {why}")
+        return
+    chosen, absent = {}, []
+    for method in FILMED:
+        label, run = style.method(method, "").label.partition(",")[0], best(frame, method, body)
+        if run is None:
+            absent.append(label)
+        else:
+            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
+            chosen[label] = results.find(run["run_id"])
+    if chosen:
+        clips = film.of_runs(chosen, duration_s, _SIZE)
+        text = f"{body}, best trials, in real time: {' | '.join(clips)}"
+        notebook.play(film.grid(clips), text)
+    if absent:
+        notebook.note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+
+
+def show_strip(run_id: str, duration_s: float) -> None:
+    """Show a run's policy in equally spaced pictures, a film on paper; of no run, "", say so."""
+    if not run_id:
+        notebook.note("No pictures: there is no run.")
+    elif why := film.why_no_pictures(results.find(run_id).config["body"]):
+        notebook.note(f"No pictures: {why}")
+    else:
+        (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
+        notebook.show_picture(film.strip(clip, n_frames=6))
+
+
+def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:
+    """Return a cell's run of the highest return, None without any.
+
+    A run of another number of iterations than planned only counts where there is no planned one.
+    """
+    for runs in (results.cell(frame, method, body), results.stand_ins(frame, method, body)):
+        if len(runs):
+            return runs.loc[runs["return_mean"].idxmax()]
+    return None
