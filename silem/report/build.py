@@ -29,7 +29,7 @@ import nbformat
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from silem.report import results, style
+from silem.report import glance, results, style
 from silem.report.figures.trials import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
@@ -223,12 +223,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--reuse-executed", action="store_true", help="take the notebooks executed last time"
     )
-    parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
+    parser.add_argument(
+        "--figures",
+        action="store_true",
+        help="redraw book/figures, and write the texts beside them, instead",
+    )
     options = parser.parse_args(arguments)
     started = time.perf_counter()
     try:
         if options.figures:
-            print(*(path.relative_to(REPO) for path in draw_figures()), sep="\n")
+            made = [*draw_figures(), *glance.write()]
+            print(*(path.relative_to(REPO) for path in made), sep="\n")
         else:
             pages = build(options.workers, options.reuse_executed)
             seconds = time.perf_counter() - started
