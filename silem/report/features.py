@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from silem import bodies
-from silem.bodies import Body, BulletBody
+from silem.bodies import BulletBody
 from silem.motion.features import FEATURES
 
 _TORSO = (
@@ -42,56 +42,42 @@ def feature_names(body: str) -> list[str]:
 
     A PyBullet body's are its observation (g is the identity, see
     `silem.envs.bullet.task.LocomotionTask`): the torso's, then each motor's angle and velocity,
-    then the feet's contacts. A humanoid's are
-    `silem.motion.features.FEATURES`.
-
-    Args:
-        body: The body's name.
-
-    Returns:
-        F names.
+    then the feet's contacts. A humanoid's are `silem.motion.features.FEATURES`.
 
     Raises:
-        SilemError: If the body is unknown.
+        SilemError: The body is unknown.
     """
-    known = bodies.get(body)
-    if not isinstance(known, BulletBody):
+    if not isinstance(bodies.get(body), BulletBody):
         return [feature.label for feature in FEATURES]
-    joints = [_readable(motor.joint, known.family) for motor in known.motors]
-    motion = [f"{joint} {quantity}" for joint in joints for quantity in ("angle", "velocity")]
-    feet = [f"{_readable(foot, known.family)} contact" for foot in known.feet]
-    return [*_TORSO, *motion, *feet]
+    torso, *parts = feature_groups(body)
+    names = dict(enumerate(torso.labels))
+    for group in parts:
+        kind = group.name.rpartition(" ")[2]
+        labels = (f"{label} {kind}" for label in group.labels)
+        names |= dict(zip(group.columns, labels, strict=True))
+    return [names[column] for column in sorted(names)]
 
 
 def feature_groups(body: str) -> list[Group]:
     """Sort a body's skeletal features into groups, each with its unit.
 
-    Args:
-        body: The body's name.
+    A PyBullet body's are the torso, joint angles, joint velocities and floor contacts.
 
     Raises:
-        SilemError: If the body is unknown.
+        SilemError: The body is unknown.
     """
     known = bodies.get(body)
-    return _runner_groups(known) if isinstance(known, BulletBody) else _humanoid_groups()
-
-
-def _runner_groups(body: Body) -> list[Group]:
-    """Return torso, joint angles, joint velocities and floor contacts."""
-    names = feature_names(body.name)
-    kinds = (
-        ("joint angle", "−1, 1: its limits", " angle"),
-        ("joint velocity", "0.1 × rad/s", " velocity"),
-        ("floor contact", "", " contact"),
-    )
-    n_torso = len(_TORSO)
-    torso = Group("torso", "m; 0.3 × m/s; rad", tuple(range(n_torso)), _TORSO)
-    groups = [torso]
-    for kind, unit, end in kinds:
-        columns = [i for i in range(n_torso, len(names)) if names[i].endswith(end)]
-        labels = [names[i].removesuffix(end) for i in columns]
-        groups.append(Group(kind, unit, tuple(columns), tuple(labels)))
-    return groups
+    if not isinstance(known, BulletBody):
+        return _humanoid_groups()
+    joints = tuple(_readable(motor.joint, known.family) for motor in known.motors)
+    feet = tuple(_readable(foot, known.family) for foot in known.feet)
+    first, last = len(_TORSO), len(_TORSO) + 2 * len(joints)
+    return [
+        Group("torso", "m; 0.3 × m/s; rad", tuple(range(first)), _TORSO),
+        Group("joint angle", "−1, 1: its limits", tuple(range(first, last, 2)), joints),
+        Group("joint velocity", "0.1 × rad/s", tuple(range(first + 1, last, 2)), joints),
+        Group("floor contact", "", tuple(range(last, last + len(feet))), feet),
+    ]
 
 
 def _humanoid_groups() -> list[Group]:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from silem.report import claims, results, scorecard, style, walking
+from silem.report import claims, results, scorecard, style
+from silem.report.pages import walking
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO

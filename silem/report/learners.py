@@ -16,7 +16,7 @@ from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.retargeting import Limbs
 from silem.report.pages import humanoids
-from silem.study.evaluate import Policy, evaluate, random_policy
+from silem.study.evaluate import evaluate, random_policy
 
 _ALIKE = {  # joints of Humanoid and of Atlas that do the same
     "hip, forward and back": ("right_hip_y", "r_leg_hpy"),
@@ -158,27 +158,13 @@ def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
     rows = {}
     for name in names:
         body = body_of(name)
-        policies: dict[str, Policy] = {
-            "no torques": _Limp(body.action_size),
-            "random torques": random_policy(body),
-        }
         row = {}
-        for label, policy in policies.items():
-            found = evaluate(policy, name, n_episodes, seed)
+        for label, std in (("no torques", 0.0), ("random torques", 1.0)):
+            found = evaluate(random_policy(body, std=std), name, n_episodes, seed)
             row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
             row[f"{label}: return"] = found.return_mean
         rows[name] = row
     return pd.DataFrame(rows).T.rename_axis("body")
-
-
-class _Limp:
-    """The policy that does nothing."""
-
-    def __init__(self, action_size: int) -> None:
-        self._size = action_size
-
-    def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[np.ndarray, None]:
-        return np.zeros((len(observation), self._size), np.float32), None
 
 
 def heights(names: Sequence[str]) -> pd.DataFrame:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -18,14 +17,16 @@ from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS
 from silem.study.studies import cells, study_configs
 from silem.study.verify import check
-from silem.util import files, paths
-from silem.util.errors import SilemError, choose
+from silem.util import paths
+from silem.util.errors import choose
 
 KEYS = ["body", "method", "demonstrations", "seed"]
+_EVALUATED = ("return_mean", "return_std", "speed_m_s", "upright")
+_TRAINED = ("n_steps", "steps_per_s")
 COLUMNS = [
-    "run_id", *KEYS, "return_mean", "return_std", "normalised", "expert_return", "speed_m_s",
-    "upright", "disc_reward", "n_eval_episodes", "n_iterations", "planned_iterations", "stand_in",
-    "n_steps", "steps_per_s", "wall_time_s", "commit", "dirty", "command", "returns", "folder",
+    *KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
+    "stand_in", *_TRAINED, "wall_time_s", "commit", "dirty", "returns", "folder",
+    "expert_return", "normalised",
 ]  # fmt: skip
 
 
@@ -93,21 +94,13 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
     folders = [paths.results_dir(study)]
     if not BUDGETS[budget].is_evidence:
         folders.append(paths.runs_dir() / study)
-    seen = set()
-    for folder in folders:
-        for path in sorted(folder.glob(f"*/{RECORD}")):
-            name = _budget_name(path)
-            if path.parent.name not in seen and name.partition("-")[0] == budget:
-                seen.add(path.parent.name)
-                yield check(path.parent)
-
-
-def _budget_name(path: Path) -> str:
-    content = files.read_json(path)
-    try:
-        return str(content["config"]["budget"]["name"])
-    except (KeyError, TypeError) as error:
-        raise SilemError(f"{path} is no run record: it names no budget") from error
+    seen = set[str]()
+    for path in (path for folder in folders for path in sorted(folder.glob(f"*/{RECORD}"))):
+        if path.parent.name not in seen:
+            seen.add(path.parent.name)
+            record = check(path.parent)
+            if record.run_config().budget.base_name == budget:
+                yield record
 
 
 def _is_copy(config: RunConfig) -> bool:
@@ -137,20 +130,15 @@ def _n_iterations(record: RunRecord) -> int:
 
 
 def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
-    evaluation, training, source = record.evaluation, record.training, record.provenance
+    evaluation, source = record.evaluation, record.provenance
     return {
         **_keys(record.run_config()),
-        "return_mean": evaluation["return_mean"],
-        "return_std": evaluation["return_std"],
-        "speed_m_s": evaluation["speed_m_s"],
-        "upright": evaluation["upright"],
+        **{name: evaluation[name] for name in _EVALUATED},
+        **{name: record.training[name] for name in _TRAINED},
         "disc_reward": evaluation["disc_reward_mean"],
-        "n_eval_episodes": evaluation["n_episodes"],
         "n_iterations": _n_iterations(record),
         "planned_iterations": plan.budget.n_iterations,
         "stand_in": record.run_id != plan.run_id,
-        "n_steps": training["n_steps"],
-        "steps_per_s": training["steps_per_s"],
         "wall_time_s": record.wall_time_s,
         "commit": source["git_commit"] or "unknown",
         "dirty": source["git_dirty"],
@@ -160,14 +148,7 @@ def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
 
 
 def _keys(config: RunConfig) -> dict[str, Any]:
-    return {
-        "body": config.body,
-        "method": config.method,
-        "demonstrations": config.demonstrations,
-        "seed": config.seed,
-        "run_id": config.run_id,
-        "command": config.command,
-    }
+    return {name: getattr(config, name) for name in (*KEYS, "run_id", "command")}
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:

@@ -18,6 +18,7 @@ from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations
 from silem.report import style
 from silem.report.features import Group, feature_groups, feature_names
+from silem.report.figures.affine import sheet
 from silem.study.record import CURVE, TRANSFORM, RunRecord
 from silem.util import files
 from silem.util.errors import SilemError, choose
@@ -110,20 +111,14 @@ def transform(record: RunRecord) -> Figure:
     Raises:
         SilemError: The run learned no affine transform, or its file is damaged.
     """
-    arrays = files.read_npz(record.file(TRANSFORM))
-    names = feature_names(record.config["body"])
-    rows = np.arange(len(names))
+    arrays, body = files.read_npz(record.file(TRANSFORM)), record.config["body"]
+    rows = np.arange(len(feature_names(body)))
+    color = style.method("silem").color
     with style.applied():
-        figure, (left, right) = style.new_figure(0.21 * len(names) + 1.0, ncols=2, sharey=True)
-        left.set(title="A, diagonal (1: unchanged)", ylim=(len(names) - 0.4, -0.6))
-        right.set(title="b, offset (0: unchanged)")
-        left.set_yticks(rows, names)
-        for axes, key, neutral in ((left, "A", 1.0), (right, "b", 0.0)):
-            color = style.method("silem").color
-            axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
-            axes.hlines(rows, neutral, arrays[key], color=color, lw=1.6)
-            axes.plot(arrays[key], rows, "o", ms=4.5, color=color)
-            axes.tick_params(axis="y", length=0)
+        figure, panels = sheet(body, 0.21 * len(rows) + 1.0)
+        for (entry, axes), neutral in zip(panels.items(), (1.0, 0.0), strict=True):
+            axes.hlines(rows, neutral, arrays[entry], color=color, lw=1.6)
+            axes.plot(arrays[entry], rows, "o", ms=4.5, color=color)
             axes.ticklabel_format(axis="x", useOffset=False)
             axes.xaxis.set_major_locator(MaxNLocator(5))
         style.footer(figure, record.run_id)

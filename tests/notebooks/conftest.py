@@ -29,6 +29,7 @@ from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
+from silem.study.demonstrate import experts
 from silem.study.record import POLICY, RunRecord
 from silem.study.training import make_policy_model
 from silem.util import files
@@ -55,6 +56,8 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
         synthetic.write_study("book", without=MISSING)
         for method, body in FILMED:
             add_untrained_policy(RunConfig.create(body, method, budget="book"))
+        for config in experts("HC0", "book")[1:]:
+            add_untrained_policy(config)
         demonstrations.publish("HC0", random_demonstrations("HC0"))
     return folder
 

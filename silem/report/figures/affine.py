@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -28,11 +27,33 @@ _ARMS = ("left hand", "right hand", "elbow")
 _GROUP_GAP = 0.7  # between two groups' features, which stand 1 apart
 
 
+def sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes]]:
+    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b.
+
+    Bands tell groups of features apart; a dashed line stands where nothing is changed.
+    """
+    features = feature_names(body)
+    figure, panels = style.new_figure(height_in, ncols=2, sharey=True)
+    panels[0].set(ylim=(len(features) - 0.4, -0.6))
+    panels[0].set_yticks(range(len(features)), features)
+    for axes, (entry, neutral) in zip(panels, _ENTRIES.values(), strict=True):
+        axes.set_title({"A": "A, diagonal (1: unchanged)", "b": "b, offset (0: unchanged)"}[entry])
+        axes.grid(axis="y", visible=True)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
+        axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
+        axes.autoscale_view(scaley=False)
+        for first, last in _spans(feature_groups(body))[1::2]:
+            axes.axhspan(first - 0.5, last + 0.5, color="#f6f6f6", lw=0, zorder=0)
+    return figure, {"A": panels[0], "b": panels[1]}
+
+
 def transforms(frame: pd.DataFrame) -> Figure:
     """Draw the affine transforms that were learned: A's diagonal and b, for each feature.
 
     One row per named feature: a small mark per trial, a large one for the trials' mean. An
-    untrained transform has A = 1 and b = 0. Bands tell groups of features apart.
+    untrained transform has A = 1 and b = 0.
 
     Args:
         frame: Runs of one study at one budget.
@@ -42,21 +63,24 @@ def transforms(frame: pd.DataFrame) -> Figure:
     """
     frame = sources.runs_of("transforms", frame)
     names = results.body_names(frame)
-    features = feature_names(names[0])
     with style.applied():
-        figure, (left, right) = style.new_figure(6.4, ncols=2, sharey=True)
-        left.set(title="A, diagonal (1: unchanged)", ylim=(len(features) - 0.4, -0.6))
-        right.set(title="b, offset (0: unchanged)")
-        left.set_yticks(range(len(features)), features)
-        for axes, neutral in ((left, 1.0), (right, 0.0)):
-            _feature_lines(axes, names[0], neutral)
+        figure, panels = sheet(names[0], 6.4)
         handles = []
         for index, body in enumerate(names):
-            policies = _policies(frame, body)
-            handles.append(_body_handle(body, index, len(names), len(policies.rows)))
-            if len(policies.rows):
-                _draw_marks(left, policies.values("A"), index, len(names))
-                _draw_marks(right, policies.values("b"), index, len(names))
+            rows = results.cell(frame, "silem", body)
+            look: dict[str, Any] = {
+                "ls": "none", "marker": _BODY_MARKERS[index],
+                "color": style.body_color(index, len(names)),
+            }  # fmt: skip
+            label = f"{body}, {style.trials(len(rows))}"
+            handles.append(Line2D([], [], ms=7, mec="white", label=label, **look))
+            for entry, axes in panels.items():
+                values = _values(rows, entry)
+                places = np.arange(values.shape[1]) + (index - (len(names) - 1) / 2) * 0.26
+                for trial in values if len(values) > 1 else ():
+                    axes.plot(trial, places, ms=2.5, alpha=0.45, mec="none", **look)
+                if len(values):
+                    axes.plot(values.mean(axis=0), places, ms=5, mec="white", mew=0.5, **look)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
         sources.footer(figure, frame)
     return figure
@@ -79,10 +103,11 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
     """
     choose("part of the transform", which, _ENTRIES)
     frame = sources.runs_of("affine_transforms", frame)
-    key, neutral = _ENTRIES[which]
+    entry, neutral = _ENTRIES[which]
     names = results.body_names(frame)
     groups = feature_groups(names[0])
     n_best = paper.number("best_policies_shown")
+    dashed: dict[str, Any] = {"lw": 1, "ls": (0, (3, 2)), "marker": "x", "ms": 4}
     with style.applied():
         figure, axes = style.new_figure(3.9)
         axes.set_title(_TITLES[which])
@@ -91,29 +116,22 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
         handles = []
         for index, body in enumerate(names):
             color = style.MUTED if index == 0 else style.body_color(1, 2)
-            policies = _policies(frame, body).best(n_best)
-            others = _policies(frame, body, stand_ins=True)
-            for values in policies.values(key):
-                _draw_line(
-                    axes, groups, places, values, color=color, lw=0.8, alpha=0.55, marker=".", ms=3
-                )
-            for values in others.values(key):
-                _draw_line(
-                    axes,
-                    groups,
-                    places,
-                    values,
-                    color=color,
-                    lw=1,
-                    ls=(0, (3, 2)),
-                    marker="x",
-                    ms=4,
-                )
-            if len(policies.rows):
-                mean = policies.values(key).mean(axis=0)
-                mark = {"marker": _BODY_MARKERS[index], "ms": 5, "mec": "white", "mew": 0.6}
-                _draw_line(axes, groups, places, mean, color=color, lw=2.4, **mark)
-            handles.append(_line_handle(body, index, color, policies, others))
+            rows = results.cell(frame, "silem", body)
+            best = _values(rows.sort_values("return_mean", ascending=False).head(n_best), entry)
+            others = results.stand_ins(frame, "silem", body)
+            thick: dict[str, Any] = {"color": color, "lw": 2.4, "marker": _BODY_MARKERS[index]}
+            lines = [
+                (values, {"lw": 0.8, "alpha": 0.55, "marker": ".", "ms": 3}) for values in best
+            ]
+            lines += [(values, dashed) for values in _values(others, entry)]
+            if len(best):
+                lines.append((best.mean(axis=0), thick | {"ms": 5, "mec": "white", "mew": 0.6}))
+            for values, look in lines:
+                for columns in (list(group.columns) for group in groups):
+                    axes.plot(places[columns], values[columns], **{"color": color} | look)
+            words = {0: "no run", 1: "one policy"}.get(len(best), f"{len(best)} policies")
+            words += "".join(f"; dashed: {n:,} iterations" for n in others["n_iterations"])
+            handles.append(Line2D([], [], label=f"{body}, {words}", **thick))
         axes.update_datalim([(0, neutral - 0.1), (0, neutral + 0.1)])  # shown at least
         axes.autoscale_view(scalex=False)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
@@ -122,44 +140,13 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
     return figure
 
 
-@dataclass(frozen=True)
-class _Policies:
-    """The SILEM runs of one body."""
-
-    body: str
-    rows: pd.DataFrame
-
-    def best(self, n: int) -> _Policies:
-        """Keep the n runs of the highest return."""
-        return _Policies(self.body, self.rows.sort_values("return_mean", ascending=False).head(n))
-
-    def values(self, key: str) -> np.ndarray:
-        """Return A or b of every run, (N, F)."""
-        n_features = len(feature_names(self.body))
-        loaded = [results.load_transform(run_id)[key] for run_id in self.rows["run_id"]]
-        for values in loaded:
-            if values.shape != (n_features,):
-                raise SilemError(
-                    f"transforms of {self.body}: {values.shape} for {n_features} features"
-                )
-        return np.array(loaded).reshape(-1, n_features)
-
-
-def _policies(frame: pd.DataFrame, body: str, *, stand_ins: bool = False) -> _Policies:
-    rows = (results.stand_ins if stand_ins else results.cell)(frame, "silem", body)
-    return _Policies(body, rows)
-
-
-def _feature_lines(axes: Axes, body: str, neutral: float) -> None:
-    """Draw what lies behind the marks: a line per feature, and where nothing is changed."""
-    axes.grid(axis="y", visible=True)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
-    axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
-    axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
-    axes.autoscale_view(scaley=False)
-    for first, last in _spans(feature_groups(body))[1::2]:
-        axes.axhspan(first - 0.5, last + 0.5, color="#f6f6f6", lw=0, zorder=0)
+def _values(rows: pd.DataFrame, entry: str) -> np.ndarray:
+    """Return A or b of some runs of one body, (N, F); (0, 0) without any."""
+    loaded = [results.load_transform(run_id)[entry] for run_id in rows["run_id"]]
+    for body, values in zip(rows["body"], loaded, strict=True):
+        if values.shape != (n_features := len(feature_names(body)),):
+            raise SilemError(f"transforms of {body}: {values.shape} for {n_features} features")
+    return np.array(loaded) if loaded else np.empty((0, 0))
 
 
 def _spans(groups: list[Group]) -> list[tuple[int, int]]:
@@ -171,16 +158,6 @@ def _spans(groups: list[Group]) -> list[tuple[int, int]]:
             first, last = spans[-1][0], max(last, spans.pop()[1])
         spans.append((first, last))
     return spans
-
-
-def _draw_marks(axes: Axes, values: np.ndarray, index: int, count: int) -> None:
-    """Draw one body's transforms, values (N, F), as marks in the features' rows."""
-    rows = np.arange(values.shape[1]) + (index - (count - 1) / 2) * 0.26
-    color, marker = style.body_color(index, count), _BODY_MARKERS[index]
-    if len(values) > 1:
-        for trial in values:
-            axes.plot(trial, rows, marker, ms=2.5, color=color, alpha=0.45, mec="none")
-    axes.plot(values.mean(axis=0), rows, marker, ms=5, color=color, mec="white", mew=0.5)
 
 
 def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
@@ -205,32 +182,3 @@ def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
     names.tick_params(length=0)
     names.spines[:].set_visible(False)
     return places
-
-
-def _draw_line(
-    axes: Axes, groups: list[Group], places: np.ndarray, values: np.ndarray, **line: Any
-) -> None:
-    """Draw one policy's values (F,), joined within each group."""
-    for group in groups:
-        columns = list(group.columns)
-        axes.plot(places[columns], values[columns], **line)
-
-
-def _body_handle(body: str, index: int, count: int, n_trials: int) -> Line2D:
-    return Line2D(
-        [], [], ls="none", marker=_BODY_MARKERS[index], ms=7, mec="white",
-        color=style.body_color(index, count), label=f"{body}, {style.trials(n_trials)}",
-    )  # fmt: skip
-
-
-def _line_handle(
-    body: str, index: int, color: str, policies: _Policies, others: _Policies
-) -> Line2D:
-    """Return a body's legend entry: its policies, and the iterations of its stand-ins."""
-    count = len(policies.rows)
-    words = {0: "no run", 1: "one policy"}.get(count, f"{count} policies")
-    for row in others.rows.itertuples():
-        words += f"; dashed: {row.n_iterations:,} iterations"
-    return Line2D(
-        [], [], color=color, lw=2.4, marker=_BODY_MARKERS[index], label=f"{body}, {words}"
-    )

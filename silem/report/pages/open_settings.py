@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -203,6 +204,7 @@ def draw_travel(table: pd.DataFrame) -> Figure:
     with style.applied():
         figure, panels = style.new_figure(3.3, ncols=2, sharex=True, sharey=True)
         values = table[["allowed", "A", "b"]].to_numpy(dtype=float)
+        values = values[values > 0]
         low = 10 ** np.floor(np.log10(values.min(initial=0.5)))
         high = 10 ** np.ceil(np.log10(values.max(initial=0.5)))
         for axes, entry, title in zip(
@@ -236,18 +238,16 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
         penalised: Runs of the study "halfcheetah" (`results.load_records`).
         unpenalised: Runs of the study "no-gradient-penalty" at the same budget.
     """
-    compared = {"return_mean": ("return", 0), "disc_reward": ("reward of D", 0)}
-    compared["speed_m_s"] = ("speed (m/s)", 2)
     rows = []
-    for body in results.body_names(unpenalised):
-        for method in ("silem", "silem-minus"):
-            for penalty, frame in (("yes", penalised), ("no", unpenalised)):
-                runs = results.cell(frame, method, body)
-                row = {"body": body, "method": _label(body, method), "penalty": penalty}
-                row["trials"] = str(len(runs)) if len(runs) else "no run"
-                for column, (heading, digits) in compared.items():
-                    row[heading] = tables.number(runs[column].mean(), digits)
-                rows.append(row)
+    for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
+        for penalty, frame in (("yes", penalised), ("no", unpenalised)):
+            runs = results.cell(frame, method, body)
+            row = {"body": body, "method": _label(body, method), "penalty": penalty}
+            row["trials"] = str(len(runs)) if len(runs) else "no run"
+            for name in ("return_mean", "disc_reward", "speed_m_s"):
+                heading, digits = _QUANTITIES[name]
+                row[heading] = tables.number(runs[name].mean(), digits)
+            rows.append(row)
     return pd.DataFrame(rows)
 
 

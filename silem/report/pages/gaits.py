@@ -22,7 +22,7 @@ from silem.study import gait, runs
 from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
 from silem.study.evaluate import record_episodes
 from silem.study.policies import load_policy
-from silem.study.record import POLICY, RunRecord
+from silem.study.record import RunRecord
 from silem.util.errors import SilemError
 
 _METHODS = ("silem", "silem-minus")
@@ -44,7 +44,7 @@ def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | 
     """Return the gaits of a body's experts by the name of their demonstrations ("HC0_s1").
 
     The published demonstrations are measured where there are any of the run, else episodes
-    recorded here. A trial whose run is not there, or has no policy, is None.
+    recorded here. A trial whose run is not there is None.
 
     Args:
         body: A runner.
@@ -55,7 +55,7 @@ def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | 
     for config in experts(body, budget):
         record, name = runs.find(config.run_id), f"{body}_s{config.seed}"
         shown[name] = None
-        if record is not None and POLICY in record.files:
+        if record is not None:
             episodes = _episodes(record, n_trajectories)
             shown[name] = ExpertGait(record, episodes, gait.measure(episodes))
     return shown
@@ -92,33 +92,25 @@ def table(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Styler
 
     Returns and failures are those of the run's evaluation, the rest of the recorded episodes.
     """
-    return tables.styled(pd.DataFrame([_row(*item, demonstrator_name) for item in shown.items()]))
-
-
-def _row(name: str, found: ExpertGait | None, demonstrator_name: str) -> dict[str, str]:
-    row = {"trial": f"{_trial(name)}{' (demonstrator)' if name == demonstrator_name else ''}"}
-    if found is None:
-        return row | {"return": "no run"} | dict.fromkeys(_COLUMNS, tables.DASH)
-    evaluation, measured = found.record.evaluation, found.gait
-    returns, number = np.array(evaluation["returns"]), tables.number
-    n_recorded = len(found.demonstrations.features)
-    values = (
-        number(returns.min()),
-        f"{gait.failed(returns).sum()} of {len(returns)}",
-        f"{measured.n_failed} of {n_recorded}",
-        number(evaluation["speed_m_s"], 2),
-        f"{number(measured.pitch_rad, 2)} ± {number(measured.pitch_std_rad, 2)}",
-        f"{number(100 * measured.limit_share)} %",
-        number(measured.joints_at_limit, 1),
-    )
-    mean = f"{number(evaluation['return_mean'])} ± {number(evaluation['return_std'])}"
-    return row | {"return": mean} | dict(zip(_COLUMNS, values, strict=True))
-
-
-_COLUMNS = (
-    "worst episode", "failed", "failed, recorded", "speed (m/s)", "pitch (rad)",
-    "a joint at its limit", "joints at limits",
-)  # fmt: skip
+    rows, number = [], tables.number
+    for name, found in shown.items():
+        mark = " (demonstrator)" if name == demonstrator_name else ""
+        row = {"trial": f"{_trial(name)}{mark}", "return": "no run"}
+        if found is not None:
+            evaluation, g = found.record.evaluation, found.gait
+            returns, n = np.array(evaluation["returns"]), len(found.demonstrations.features)
+            row |= {
+                "return": f"{number(returns.mean())} ± {number(returns.std())}",
+                "worst episode": number(returns.min()),
+                "failed": f"{gait.failed(returns).sum()} of {len(returns)}",
+                "failed, recorded": f"{g.n_failed} of {n}",
+                "speed (m/s)": number(evaluation["speed_m_s"], 2),
+                "pitch (rad)": f"{number(g.pitch_rad, 2)} ± {number(g.pitch_std_rad, 2)}",
+                "a joint at its limit": f"{number(100 * g.limit_share)} %",
+                "joints at limits": number(g.joints_at_limit, 1),
+            }
+        rows.append(row)
+    return tables.styled(pd.DataFrame(rows).fillna(tables.DASH))
 
 
 def film_experts(shown: dict[str, ExpertGait | None], duration_s: float) -> film.Clip | None:
@@ -230,7 +222,7 @@ def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity:
     for x, name in enumerate(names):
         here = frame[frame["demonstrations"] == name]
         if here[quantity].isna().all():
-            style.empty_slot(axes, x)
+            style.empty_slot(axes, x, "no run" if here.empty else "no expert")
         for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
             look, values = style.method(method), here[here["method"] == method][quantity]
             axes.plot(
@@ -246,7 +238,7 @@ def decided(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> str:
     neither explains is the error that both are tested against (F tests at 5 %).
     """
     return "\n".join(
-        f"- **{body}**: {_told(frame, body, shown)}" for body in results.body_names(frame)
+        f"- **{body}**: {_told(frame, body, len(shown))}" for body in results.body_names(frame)
     )
 
 
@@ -276,57 +268,49 @@ def effects(values: np.ndarray) -> Effects:
     )  # fmt: skip
 
 
-def _told(frame: pd.DataFrame, body: str, shown: dict[str, ExpertGait | None]) -> str:
+def _told(frame: pd.DataFrame, body: str, n_demonstrators: int) -> str:
     here, score = frame[frame["body"] == body], _score_column(frame)
     digits = 2 if score == "normalised" else 0
     by_method = here.pivot_table(score, "demonstrations", "method").reindex(columns=list(_METHODS))
     both = by_method.dropna()
     if len(both) < 2:
-        return f"not to be told yet; {len(both)} of {len(shown)} demonstrators have both runs."
+        return (
+            f"not to be told yet; {len(both)} of {n_demonstrators} demonstrators have both scores."
+        )
     means, found = both.mean(axis=1), effects(both.to_numpy())
     worst, best = means.idxmin(), means.idxmax()
     gain = float((both["silem"] - both["silem-minus"]).mean())
     number = tables.number
     return (
-        f"{len(both)} of {len(shown)} demonstrators have both runs. Between demonstrators the"
+        f"{len(both)} of {n_demonstrators} demonstrators have both scores. Between them the"
         f" score goes from {number(means.min(), digits)} (trial {_trial(worst)}) to"
         f" {number(means.max(), digits)} (trial {_trial(best)}); the transform changes it by"
         f" {number(gain, digits)} on average. {number(100 * found.rows_share)} % of the variance"
         f" goes with the demonstrator (p = {found.rows_p:.2g}),"
         f" {number(100 * found.columns_share)} % with the transform (p = {found.columns_p:.2g}),"
-        f" the rest with chance and how the two meet. {_verdict(found)}{_by_pitch(means, shown)}"
+        f" the rest with chance and how the two meet. {_verdict(found)}"
     )
 
 
 def _verdict(found: Effects) -> str:
-    teacher, transform = found.rows_p < _CHANCE, found.columns_p < _CHANCE
-    if teacher and transform:
-        return "Both the teacher and the transform matter."
-    if teacher:
-        return "The teacher decided, not the transform."
-    if transform:
-        return "The transform decided, not the teacher."
-    return "Neither can be told from chance with these runs."
-
-
-def _by_pitch(means: pd.Series, shown: dict[str, ExpertGait | None]) -> str:
-    known = [name for name in means.index if shown.get(name) is not None]
-    if len(known) < 4:
-        return ""
-    rank = stats.spearmanr([_pitch(shown[name]) for name in known], means[known]).statistic
-    return f" Rank correlation of score and the demonstrator's pitch: {tables.number(rank, 2)}."
+    return {
+        (True, True): "Both the teacher and the transform matter.",
+        (True, False): "The teacher decided, not the transform.",
+        (False, True): "The transform decided, not the teacher.",
+        (False, False): "Neither can be told from chance with these runs.",
+    }[found.rows_p < _CHANCE, found.columns_p < _CHANCE]
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
-    """Return the study's best and worst run that can be filmed, by what to call them."""
-    score = _score_column(frame)
-    ordered = frame.dropna(subset=[score]).sort_values(score, ascending=False)
-    found = {row.run_id: (row, results.find(row.run_id)) for row in ordered.itertuples()}
-    there = [(row, record) for row, record in found.values() if POLICY in record.files]
+    """Return the study's best and worst run, by what to call them; nothing without any score."""
+    ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
     named = {}
-    for word, (row, record) in zip(("best", "worst"), (there[:1] + there[-1:]), strict=False):
-        label = style.method(row.method).label.partition(" (")[0]
-        named[f"{word}: {row.body}, {label}, trial {_trial(row.demonstrations)}"] = record
+    for word, run in zip(
+        ("best", "worst"), ordered.iloc[[-1, 0][: len(ordered)]].itertuples(), strict=False
+    ):
+        label = style.method(run.method).label.partition(" (")[0]
+        name = f"{word}: {run.body}, {label}, trial {_trial(run.demonstrations)}"
+        named[name] = results.find(run.run_id)
     return named
 
 

@@ -12,7 +12,8 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer
 
-from silem.report import results, search
+from silem.report import results
+from silem.report.pages import open_settings as search
 from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.studies import cells, study_configs
@@ -180,6 +181,22 @@ def test_without_any_run_the_plan_is_shown(write) -> None:
     assert "best" not in search.says(frame)
 
 
+def test_with_and_without_the_penalty_stand_below_each_other(write) -> None:
+    write(lambda config: None)
+    for study, value in (("halfcheetah", 900.0), ("no-gradient-penalty", 100.0)):
+        (config,) = [
+            c for c in study_configs(study, "book", 1) if (c.method, c.body) == ("silem", "HC2")
+        ]
+        synthetic.write_record(config, return_mean=value)
+    both = [results.load_records(name, "book") for name in ("halfcheetah", "no-gradient-penalty")]
+    table = search.penalty_table(*both).set_index(["body", "method", "penalty"])
+    returns = table["return of an episode"].to_dict()
+    assert 880 < int(returns["HC2", "SILEM", "yes"]) < 920
+    assert 80 < int(returns["HC2", "SILEM", "no"]) < 120
+    assert returns["HC1", "SILEM⁻", "no"] == "–"
+    assert table.loc[("HC1", "SILEM⁻", "no"), "trials"] == "no run"
+
+
 # ---------------------------------------------------------------- the transform's travel
 
 
@@ -208,4 +225,6 @@ def test_how_many_reached_their_bound_is_told() -> None:
     assert "Of 2 transforms 1 went to their bound" in search.travel_says(table)
     assert "58 % of it" in search.travel_says(table)  # between 97 % and 20 %
     assert "No run" in search.travel_says(table[:0])
+    low, high = search.draw_travel(table.assign(A=[0.29, 0.0])).axes[0].get_ylim()  # one at rest
+    assert 0.001 < low < 0.03 < 0.29 < high
     assert_readable(search.draw_travel(table[:0]))
