@@ -223,17 +223,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--reuse-executed", action="store_true", help="take the notebooks executed last time"
     )
-    parser.add_argument(
-        "--figures",
-        action="store_true",
-        help="redraw book/figures, and write the texts beside them, instead",
-    )
+    parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
     try:
         if options.figures:
-            made = [*draw_figures(), *glance.write()]
-            print(*(path.relative_to(REPO) for path in made), sep="\n")
+            drawn = [*draw_figures(), *glance.write()]
+            print(*(path.relative_to(REPO) for path in drawn), sep="\n")
         else:
             pages = build(options.workers, options.reuse_executed)
             seconds = time.perf_counter() - started

@@ -103,7 +103,7 @@ def _behind(frames: list[pd.DataFrame]) -> str:
     hours = trained["wall_time_s"].sum() / 3600
     return (
         f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread}) and"
-        f" {hours:.0f} hours of processor time, one core a run and no graphics card."
+        f" {hours:.0f} hours by the clock on one processor core a run, no graphics card."
     )
 
 
