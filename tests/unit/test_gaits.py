@@ -223,7 +223,7 @@ def test_best_and_worst_are_filmed_side_by_side(data: Path) -> None:
     for row in records.itertuples():
         with_policy(results.find(row.run_id))
     best, worst = gaits.extremes(records).items()
-    assert best[0] == "best: HC1, SILEM, trial 2"
+    assert best[0] == "best: HC1, SILEM, trial 1"
     assert worst[0] == "worst: HC1, SILEM, trial 0"
     assert best[1].config["demonstrations"] == "HC0_s1"
     clip = gaits.film_extremes(records, 0.1)
