@@ -1,22 +1,30 @@
 """SILEM: imitation learning across bodies, after Hudson, Warnell, Torabi and Stone (2022).
 
-Importing the package registers the Gymnasium ids ``silem/HC0-v0`` to ``silem/Atlas-v0``.
+Importing the package registers the Gymnasium ids ``silem/HC0-v0`` to ``silem/Atlas-v0``. What it
+offers is loaded when it is first asked for (PEP 562): PyTorch and stable-baselines3 come with the
+algorithms, the simulators with the environments.
 """
 
+import importlib
 import os
+from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down
 
 import silem.util.offscreen  # noqa: F401  before anything imports MuJoCo
-from silem import bodies
-from silem.algorithms import PPO, SILEM, TPIL, GAIfO, load_policy
-from silem.envs import make_vec
-from silem.motion.demonstrations import Demonstrations
-from silem.study.config import RunConfig
-from silem.study.evaluate import evaluate
-from silem.study.record import RunRecord
-from silem.study.runs import run
-from silem.util.errors import SilemError
+from silem import bodies, envs  # noqa: F401  environments' ids are registered there
+from silem.bodies import own
+
+if TYPE_CHECKING:
+    from silem.algorithms import PPO, SILEM, TPIL, GAIfO, load_policy
+    from silem.envs import make_vec
+    from silem.motion.demonstrations import Demonstrations
+    from silem.study.config import RunConfig
+    from silem.study.evaluate import evaluate
+    from silem.study.record import RunRecord
+    from silem.study.runs import run
+    from silem.study.training import settings
+    from silem.util.errors import SilemError
 
 __all__ = [
     "PPO",
@@ -32,5 +40,35 @@ __all__ = [
     "load_policy",
     "make_vec",
     "run",
+    "settings",
 ]
 __version__ = "0.1.0"
+
+_HOMES = {
+    "PPO": "silem.algorithms",
+    "SILEM": "silem.algorithms",
+    "TPIL": "silem.algorithms",
+    "GAIfO": "silem.algorithms",
+    "load_policy": "silem.algorithms",
+    "Demonstrations": "silem.motion.demonstrations",
+    "RunConfig": "silem.study.config",
+    "RunRecord": "silem.study.record",
+    "SilemError": "silem.util.errors",
+    "evaluate": "silem.study.evaluate",
+    "make_vec": "silem.envs",
+    "run": "silem.study.runs",
+    "settings": "silem.study.training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+own.load_installed()

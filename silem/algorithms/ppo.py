@@ -109,14 +109,18 @@ class PPO(SB3PPO):
         except RuntimeError as error:
             raise SilemError(f"{path} holds other networks than asked for: {error}") from error
 
-    def export_policy(self, path: Path | str) -> None:
+    def export_policy(self, path: Path | str, **about: str) -> None:
         """Write the policy as a safetensors file, numbers alone, for `silem.load_policy`.
 
+        Args:
+            path: The file.
+            **about: What else its metadata should say.
+
         Raises:
-            SilemError: The policy is no multi-layer perceptron on a Box of observations, or the
-                file cannot be written.
+            SilemError: The policy is no multi-layer perceptron on a flat Box of observations, or
+                the file cannot be written.
         """
-        state.export_policy(self.policy, Path(path))
+        state.export_policy(self.policy, Path(path), about)
 
     def reseed(self, seed: int) -> None:
         """Restart every random stream of the model from ``seed``."""

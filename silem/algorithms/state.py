@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch as th
@@ -88,28 +89,46 @@ def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray])
             raise SilemError(f"saved state: {name} holds NaN or infinity")
 
 
-def export_policy(policy: object, path: Path) -> None:
+def export_policy(policy: object, path: Path, about: Mapping[str, str]) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
+    arrays = collect({"policy": policy}, {}) if isinstance(policy, nn.Module) else {}
+    described = _described(policy)
     try:
-        assert type(policy) is ActorCriticPolicy
-        assert policy.share_features_extractor and not policy.use_sde
-        space = policy.action_space
-        about = {"activation": policy.activation_fn.__name__}
-        if isinstance(space, spaces.Box):
-            low, high = (" ".join(map(repr, x.ravel().tolist())) for x in (space.low, space.high))
-            about |= {"low": low, "high": high}
-        arrays = collect({"policy": policy}, {})
-        again = _rebuilt(arrays, about)
-        assert again.action_space.shape == space.shape
-        assert again.observation_space.shape == policy.observation_space.shape
-        assert isinstance(policy.observation_space, spaces.Box)
-    except (AssertionError, LookupError, SilemError) as error:
+        again = _rebuilt(arrays, described or {})
+    except (LookupError, ValueError):
+        again = None
+    if not (
+        again is not None
+        and isinstance(policy, ActorCriticPolicy)
+        and again.action_space == policy.action_space
+        and again.observation_space.shape == policy.observation_space.shape
+    ):
         raise SilemError(
             "only a multi-layer perceptron from a flat Box of observations, with one of the"
-            f" activations {', '.join(_ACTIVATIONS)}, to a flat Box of actions or to Discrete ones"
-            " can be exported; `save` keeps any policy, as a pickle"
-        ) from error
-    files.write_tensors(path, arrays, about)
+            f" activations {', '.join(_ACTIVATIONS)}, can be exported; `save` keeps any policy, as"
+            " a pickle"
+        )
+    files.write_tensors(path, arrays, {**about, **(described or {})})
+
+
+def _described(policy: object) -> dict[str, str] | None:
+    """Return what a policy's arrays do not tell of it, or None if it is of another kind."""
+    if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
+        return None
+    if policy.use_sde or not isinstance(policy.observation_space, spaces.Box):
+        return None
+    space, about = policy.action_space, {"activation": policy.activation_fn.__name__}
+    if isinstance(space, spaces.Box):
+        about |= {name: _text(getattr(space, name)) for name in ("low", "high")}
+    elif isinstance(space, spaces.MultiDiscrete):
+        about["nvec"] = _text(space.nvec)
+    elif isinstance(space, spaces.MultiBinary):
+        about["binary"] = "yes"
+    return about
+
+
+def _text(numbers: np.ndarray) -> str:
+    return " ".join(repr(number) for number in numbers.ravel().tolist())
 
 
 def load_policy(path: Path | str) -> ActorCriticPolicy:
@@ -140,11 +159,15 @@ def _rebuilt(arrays: Mapping[str, np.ndarray], about: Mapping[str, str]) -> Acto
     n_actions, n_last = arrays["policy/action_net.weight"].shape
     hidden = {"pi": layers("policy"), "vf": layers("value")}
     first = hidden["pi"][0].shape[1] if hidden["pi"] else n_last
-    action_space: spaces.Discrete | spaces.Box = spaces.Discrete(n_actions)
+    action_space: spaces.Space[Any] = spaces.Discrete(n_actions)
     if "policy/log_std" in arrays:
         bounds = [np.array(about[name].split(), np.float32) for name in ("low", "high")]
         low, high = (np.broadcast_to(bound, n_actions).copy() for bound in bounds)
         action_space = spaces.Box(low, high)
+    elif "nvec" in about:
+        action_space = spaces.MultiDiscrete([int(n) for n in about["nvec"].split()])
+    elif "binary" in about:
+        action_space = spaces.MultiBinary(n_actions)
     normalised = "policy/features_extractor.mean" in arrays
     with th.random.fork_rng(devices=[]):  # what the weights begin as does not matter
         policy = ActorCriticPolicy(

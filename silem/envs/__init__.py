@@ -83,7 +83,9 @@ def make_vec(
 
 
 def _register_id(body: Body | Entry) -> None:
-    """Give a body its Gymnasium id, `silem/<name>-v0`."""
+    """Give a body its Gymnasium id, `silem/<name>-v0`, unless it is Gymnasium's own."""
+    if body.engine not in _SINGLE:
+        return
     name = _SINGLE[body.engine]
     key = f"silem/{body.name}-v0"
     gymnasium.registry.pop(key, None)  # a body's that this one replaces

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from silem.bodies import Body
 from silem.util.errors import SilemError, choose
@@ -215,12 +215,29 @@ class BatchedEnv(Filmed, VecEnv):
         self._next_generators = [np.random.default_rng(s) for s in root.spawn(self.num_envs)]
         return [seed] * self.num_envs
 
-    def _take_seed(self) -> bool:
-        """Go over to the latest seed's random streams; return whether there are such."""
-        if not self._next_generators:
-            return False
-        self._generators, self._next_generators = self._next_generators, []
-        return True
+    def _restart(self, is_seeded: bool) -> np.ndarray:
+        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O).
+
+        Args:
+            is_seeded: Whether the random streams are a new seed's.
+        """
+        raise NotImplementedError
+
+    def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
+        """Do what `step_wait` does, with these actions (E, A)."""
+        raise NotImplementedError
+
+    def reset(self) -> np.ndarray:
+        """Start a new episode in every environment.
+
+        Returns:
+            (E, O) first observations, float32.
+        """
+        is_seeded = bool(self._next_generators)
+        if is_seeded:
+            self._generators, self._next_generators = self._next_generators, []
+        self._actions = None
+        return self._restart(is_seeded)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
@@ -230,12 +247,19 @@ class BatchedEnv(Filmed, VecEnv):
         """
         self._actions = check_actions(actions, (self.num_envs, self.body.action_size))
 
-    def _take_actions(self) -> np.ndarray:
-        """Return the actions (E, A) to step with; raises SilemError where there can be no step."""
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step every environment by one control step.
+
+        Returns:
+            Observations (E, O) and rewards (E,), float32, dones (E,) and E infos.
+
+        Raises:
+            SilemError: If the environments were not reset, or there is no action.
+        """
         if self._actions is None or not self._is_reset():
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
-        return actions
+        return self._advance(actions)
 
     def _last_info(
         self, observation: np.ndarray, terminated: bool, episode: dict[str, float]

@@ -54,16 +54,12 @@ ROOT = "root"
 _FOLDER = "mocap"  # of the data folder; git ignores it
 _ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
 _AXES = ("rx", "ry", "rz")
-_LONGEST_FRAME_NUMBER = 9  # digits
 
 
 def mocap_file(name: str) -> Path:
     """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
     What the cache lacks is downloaded from CMU's server. Either way the content is checked.
-
-    Args:
-        name: The file, for example "08/08_01.amc".
 
     Raises:
         SilemError: The name is unknown, the file is not in that folder, it cannot be downloaded,
@@ -108,13 +104,12 @@ def _download(name: str, path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Bone:
-    """A bone of a skeleton.
+    """A bone of a skeleton; NaN stands for what its file does not say.
 
     Attributes:
         axes: The axes about which it turns ("rx", ...), none if it does not move.
-        length: In the file's unit; NaN where the file does not say it.
-        frame_deg: Orientation of its own axes, turns about x, y and z in this order; NaN where the
-            file does not say it.
+        length: In the file's unit.
+        frame_deg: Orientation of its own axes: turns about x, y and z, in this order.
     """
 
     axes: tuple[str, ...] = ()
@@ -124,12 +119,7 @@ class Bone:
 
 @dataclass(frozen=True)
 class AsfSkeleton:
-    """A skeleton file.
-
-    Attributes:
-        path: The file.
-        bones: All bones by name, the root left out, in the file's order.
-    """
+    """The bones of a skeleton file by name, the root left out, in the file's order."""
 
     path: Path
     bones: dict[str, Bone]
@@ -206,10 +196,7 @@ def _lines(path: Path) -> list[_Line]:
 
 
 def read_asf(path: Path | str) -> AsfSkeleton:
-    """Read a skeleton.
-
-    Args:
-        path: The ASF file.
+    """Read a skeleton, an ASF file.
 
     Raises:
         SilemError: The file is missing or truncated; it is not in degrees, or its root is not as
@@ -292,14 +279,7 @@ def _check_hierarchy(lines: list[_Line], bones: Iterable[str]) -> None:
 
 
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
-    """Read a clip.
-
-    Args:
-        path: The AMC file.
-        skeleton: Its skeleton, from `read_asf`.
-
-    Returns:
-        The frames, each with a number for every axis of every bone.
+    """Read a clip, an AMC file, of a skeleton: frames with a number for every axis of every bone.
 
     Raises:
         SilemError: The file is missing or truncated, is not in degrees, or a frame is out of
@@ -312,7 +292,7 @@ def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
     first = 1
     for line in _lines(path):
         word = line.words[0]
-        if len(line.words) == 1 and word.isdigit() and len(word) <= _LONGEST_FRAME_NUMBER:
+        if len(line.words) == 1 and word.isdigit() and len(word) < 10:
             first = first if blocks else int(word)
             if int(word) != first + len(blocks):
                 raise line.error(f"frame {word} where frame {first + len(blocks)} is due")

@@ -145,20 +145,37 @@ def _float32(array: Any) -> np.ndarray:
 def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
+    Those that no run makes come with the package, and are found there if not in the data folder.
+
     Raises:
         SilemError: As `silem.util.errors.check_name`.
     """
+    path = _own_file(name)
+    if not path.exists() and path.stem in _packaged():
+        return paths.clips_dir() / path.name
+    return path
+
+
+def _own_file(name: str) -> Path:
     stem = check_name("demonstrations", name).removesuffix(".npz")
     return paths.demonstrations_dir() / f"{stem}.npz"
 
 
+def _packaged() -> dict[str, dict[str, Any]]:
+    return {n: about for n, about in _read(paths.clips_dir()).items() if not about["expert_run_id"]}
+
+
 def manifest() -> dict[str, dict[str, Any]]:
-    """Return what is said of all published demonstrations, by name; empty where there are none.
+    """Return what is said of all published demonstrations, and of those with the package, by name.
 
     Raises:
         SilemError: The manifest is damaged.
     """
-    path = paths.demonstrations_dir() / MANIFEST
+    return _packaged() | _read(paths.demonstrations_dir())
+
+
+def _read(folder: Path) -> dict[str, dict[str, Any]]:
+    path = folder / MANIFEST
     content = files.read_json(path) if path.exists() else {}
     if not isinstance(content, dict) or not all(isinstance(e, dict) for e in content.values()):
         raise SilemError(f"{path} is no manifest of demonstrations")
@@ -178,10 +195,18 @@ def entry(name: str) -> dict[str, Any]:
 def is_published(name: str) -> bool:
     """Return whether the file is there and the one that the manifest describes.
 
-    Whoever was killed between writing the one and the other left them apart.
+    Whoever was killed between writing the one and the other left them apart. A person's own file,
+    which no expert made and the manifest does not name, stands for itself.
+
+    Raises:
+        SilemError: The manifest is damaged, or a file that it does not name.
     """
     path = file_of(name)
-    return path.exists() and manifest().get(path.stem, {}).get("sha256") == files.sha256(path)
+    if not path.exists():
+        return False
+    if (about := manifest().get(path.stem)) is None:
+        return not Demonstrations.load(name).expert_run_id
+    return bool(about.get("sha256") == files.sha256(path))
 
 
 def load_published(name: str) -> tuple[Demonstrations, str]:
@@ -196,10 +221,11 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
             f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
             " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
         )
-    there, about = Demonstrations.load(name), entry(path.stem)
+    there = Demonstrations.load(name)
+    about = manifest().get(path.stem, {"body": there.body})
     if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
-    return there, str(about["sha256"])
+    return there, files.sha256(path)
 
 
 @contextmanager
@@ -227,8 +253,8 @@ def publish(
     Returns:
         The file.
     """
-    path = file_of(name)
-    content = manifest()
+    path = _own_file(name)
+    content = _read(path.parent)
     demonstrations.save(path)
     returns = demonstrations.returns
     content[path.stem] = {

@@ -130,11 +130,7 @@ def model() -> mujoco.MjModel:
 
 
 def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
-    """Pose one of subject 8's clips, from the raw files (`silem.motion.clips`).
-
-    Args:
-        clip: Its name, one of `CLIPS`.
-        rate_hz: States per second.
+    """Pose one of `CLIPS` from the raw files (`silem.motion.clips`).
 
     Raises:
         SilemError: The clip is unknown or cannot be had, or as `read_amc` and `pose`.
@@ -340,14 +336,7 @@ def published_motion(clip: str) -> Motion:
 
 
 def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> list[Path]:
-    """Compute subject 8's clips from the raw files (`silem.motion.clips`) and publish them.
-
-    Args:
-        names: Which ones.
-        progress: Show a progress bar.
-
-    Returns:
-        The files, one per clip; the same clip always gives the same bytes.
+    """Compute subject 8's clips from the raw files (`silem.motion.clips`); publish a file of each.
 
     Raises:
         SilemError: As `load_motion`, or another process is publishing.
@@ -368,24 +357,16 @@ def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> li
 
 
 def publish_own(
-    name: str,
-    asf: Path | str,
-    amc: Path | str,
-    capture_rate_hz: float,
-    *,
-    floor_slope: float = 0.0,
+    name: str, asf: Path | str, amc: Path | str, capture_rate_hz: float, floor_slope: float = 0.0
 ) -> Path:
     """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
 
     Args:
         name: What runs find it by, for example "my_walk". What had this name is replaced.
-        asf: The skeleton.
-        amc: The clip.
-        capture_rate_hz: Frames per second.
+        asf: The file of the skeleton.
+        amc: The file of the clip.
+        capture_rate_hz: See `pose`.
         floor_slope: See `pose`.
-
-    Returns:
-        The file; the same clip always gives the same bytes.
 
     Raises:
         SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another

@@ -18,16 +18,10 @@ _GAIN = 0.9  # share of the gap that one step may close: the constraint is linea
 
 
 def interpolate(qpos: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
-    """Return the poses at new times that lie within the old.
+    """Return poses (S, nq) at new times (S,) that lie within the times (T,) of poses (T, nq).
 
-    Args:
-        qpos: (T, nq) poses.
-        times: (T,) when, increasing.
-        new_times: (S,) when they are wanted.
-
-    Returns:
-        (S, nq): positions and hinges on straight lines between two poses, the root's orientation
-        on the great arc (slerp).
+    Positions and hinges lie on straight lines between two poses, the root's orientation on the
+    great arc (slerp).
     """
     columns = [np.interp(new_times, times, column) for column in qpos.T]
     resampled = np.stack(columns, axis=1)
@@ -62,17 +56,10 @@ def velocities(model: mujoco.MjModel, qpos: np.ndarray, rate_hz: float) -> np.nd
 def observe(
     model: mujoco.MjModel, skeleton: Skeleton, qpos: np.ndarray, qvel: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what features are computed from, `silem.motion.features.skeletal_features`.
+    """Return what `silem.motion.features.skeletal_features` takes, of states (T, nq), (T, nv).
 
-    Args:
-        model: The model.
-        skeleton: Its landmarks.
-        qpos: (T, nq) positions.
-        qvel: (T, nv) velocities.
-
-    Returns:
-        Landmarks (T, P, 3) in m; forward, left and up of the torso as rows, (T, 3, 3); velocity
-        of the whole body's centre of mass in m/s, (T, 3).
+    Landmarks (T, P, 3) in m; forward, left and up of the torso as rows, (T, 3, 3); velocity of the
+    whole body's centre of mass in m/s, (T, 3).
     """
     data, landmarks, seen = mujoco.MjData(model), Landmarks(model, skeleton), []
     for data.qpos[:], data.qvel[:] in zip(qpos, qvel, strict=True):

@@ -1,16 +1,11 @@
 """Retargeting for the baseline Peng20: a demonstrator's motion on a learner's body.
 
 Peng et al. 2020, "Learning Agile Robotic Locomotion Skills by Imitating Animals", match key points
-after scaling them to the learner. Here (page "The method", equations of Peng20):
-
-* Hips and feet: one similarity transform of the demonstrator's world, by the ratio of the leg
-  lengths. So the foot relative to the hip, the root's height and the root's forward motion are
-  all scaled alike. Keeping the forward motion instead would drag every planted foot over the
-  floor at (1 - ratio) times the walking speed. What widens or narrows the hips shifts each foot
-  sideways by a constant.
-* Torso: the vector from the middle of the hips, by the ratio of the spines; the orientation as
-  it is.
-* Hands: the vector from the shoulder, by the ratio of that arm's lengths.
+after scaling them to the learner. Here (page "The method", equation eq-targets) hips and feet go
+through one similarity transform of the demonstrator's world, by the ratio of the leg lengths:
+keeping the forward motion instead would drag every planted foot over the floor at (1 - ratio)
+times the walking speed. The torso follows the middle of the hips by the ratio of the spines, the
+hands the shoulders by that of the arms.
 
 Inverse kinematics poses the learner, frame by frame, each starting from the pose before: so the
 motion is continuous. What could not be reached is reported for every frame, not hidden.
@@ -110,25 +105,21 @@ class Limbs(NamedTuple):
         a bent limb looks shorter than it is, and a single broken frame should not matter.
         """
 
-        def length(chain: list[np.ndarray]) -> float:
+        def length(*chain: np.ndarray) -> float:
             parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1)
             return float(np.quantile(parts.sum(axis=0), 0.95))
 
-        left_leg, right_leg = (
-            length([_at(points, f"{side}_{joint}") for joint in ("hip", "knee", "foot")])
-            for side in SIDES
-        )
-        left_arm, right_arm = (
-            length([_at(points, f"{side}_{joint}") for joint in ("shoulder", "elbow", "hand")])
-            for side in SIDES
-        )
-        spine = length([_mid_hip(points), _at(points, "torso")])
-        hips = length([_at(points, f"{side}_hip") for side in SIDES])
-        return cls((left_leg + right_leg) / 2, left_arm, right_arm, spine, hips)
+        def limbs(*names: str) -> list[float]:
+            return [length(*(_at(points, f"{side}_{name}") for name in names)) for side in SIDES]
+
+        leg = sum(limbs("hip", "knee", "foot")) / 2
+        left_arm, right_arm = limbs("shoulder", "elbow", "hand")
+        spine = length(_mid_hip(points), _at(points, "torso"))
+        hips = length(*(_at(points, f"{side}_hip") for side in SIDES))
+        return cls(leg, left_arm, right_arm, spine, hips)
 
 
-@dataclass(frozen=True)
-class Targets:
+class Targets(NamedTuple):
     """What the inverse kinematics has to reach.
 
     Attributes:
@@ -222,67 +213,66 @@ def _compiled(body: MujocoBody) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(body.model_xml())
 
 
-class PoseSolver:
-    """Finds a body's pose for one frame after the other, each starting from the one before.
+def _solve(
+    model: mujoco.MjModel, body: MujocoBody, wanted: np.ndarray, torso_axes: np.ndarray, bar: Any
+) -> np.ndarray:
+    """Return the poses (T, nq) that bring landmarks (T, 5, 3) and torso (T, 3, 3) to their targets.
 
     mink states one step as a quadratic program, with joint limits and the floor as hard
     constraints; here its steps are repeated, with damping by Levenberg and Marquardt's rule, until
     the pose is at a minimum. Self-collision is not looked at.
     """
+    standing = np.array(body.standing_pose)
+    configuration, soles = mink.Configuration(model, standing), Soles(model, body.skeleton)
+    frames = [
+        mink.FrameTask(getattr(body.skeleton, name), "body", *_COSTS[name]) for name in TARGETS
+    ]
+    previous, posture = (mink.PostureTask(model, c) for c in (_PREVIOUS_COST, _STANDING_COST))
+    posture.set_target(standing)
+    tasks = [*frames, previous, posture]
+    limits = [mink.ConfigurationLimit(model), FloorLimit(model, soles)]
+    columns = ["xyz".index(axis) for axis in body.skeleton.axes]
 
-    def __init__(self, model: mujoco.MjModel, body: MujocoBody) -> None:
-        skeleton, standing = body.skeleton, np.array(body.standing_pose)
-        self._configuration = mink.Configuration(model, standing)
-        self._soles = Soles(model, skeleton)
-        self._torso_columns = ["xyz".index(axis) for axis in skeleton.axes]
-        self._frames = [
-            mink.FrameTask(getattr(skeleton, name), "body", *_COSTS[name]) for name in TARGETS
-        ]
-        self._previous = mink.PostureTask(model, _PREVIOUS_COST)
-        posture = mink.PostureTask(model, _STANDING_COST)
-        posture.set_target(standing)
-        self._tasks = [*self._frames, self._previous, posture]
-        self._limits = [mink.ConfigurationLimit(model), FloorLimit(model, self._soles)]
+    def cost() -> float:
+        """Return the sum of the squared errors of all tasks and of the depth below the floor."""
+        errors = [task.cost * task.compute_error(configuration) for task in tasks]
+        errors.append(_BELOW_FLOOR_COST * np.minimum(soles.heights(configuration.data), 0.0))
+        return float(sum(error @ error for error in errors))
 
-    def solve(self, positions: np.ndarray, torso_axes: np.ndarray) -> np.ndarray:
-        """Return the pose (nq,) for one frame's targets (5, 3) and torso axes (3, 3)."""
-        matrix = np.empty((3, 3))
-        matrix[:, self._torso_columns] = torso_axes.T
-        rotation = mink.SO3.from_matrix(matrix)  # has no cost except at the torso
-        for task, position in zip(self._frames, positions, strict=True):
-            task.set_target(mink.SE3.from_rotation_and_translation(rotation, position))
-        configuration = self._configuration
-        self._previous.set_target(configuration.q)
+    def descend() -> None:
         # Full steps would overshoot again and again at a leg that is nearly straight and at a
         # target just out of reach: a step that does not help is taken back, a shorter one tried.
-        cost = self._cost()
-        lowest, highest = damping, _ = _DAMPING
+        now, damping = cost(), _DAMPING[0]
         for _ in range(_MAX_STEPS):
             before = configuration.q
-            step = mink.solve_ik(
-                configuration, self._tasks, 1.0, _SOLVER, damping=damping, limits=self._limits
-            )
+            step = mink.solve_ik(configuration, tasks, 1.0, _SOLVER, damping=damping, limits=limits)
             configuration.integrate_inplace(step, 1.0)
-            decrease = cost - self._cost()
+            decrease = now - cost()
             if decrease > 0:
-                cost -= decrease
-                damping = max(damping * _LESS, lowest)
-                if decrease < _CONVERGED * cost:
-                    break
+                now -= decrease
+                damping = max(damping * _LESS, _DAMPING[0])
+                if decrease < _CONVERGED * now:
+                    return
             else:
                 configuration.update(before)
                 damping *= _MORE
-                if damping > highest:
-                    break
-        return configuration.q.copy()
+                if damping > _DAMPING[1]:
+                    return
 
-    def _cost(self) -> float:
-        """Return the sum of the squared errors of all tasks and of the depth below the floor."""
-        configuration = self._configuration
-        errors = [task.cost * task.compute_error(configuration) for task in self._tasks]
-        depths = np.minimum(self._soles.heights(configuration.data), 0.0)
-        errors.append(_BELOW_FLOOR_COST * depths)
-        return float(sum(error @ error for error in errors))
+    qpos = np.empty((len(wanted), model.nq))
+    # From the standing pose the first frames would end in a minimum with a twisted waist; going
+    # through the clip backwards first gives them a start from within the walk.
+    for frame in (*reversed(range(len(wanted))), *range(len(wanted))):
+        matrix = np.empty((3, 3))
+        matrix[:, columns] = torso_axes[frame].T
+        rotation = mink.SO3.from_matrix(matrix)  # has no cost except at the torso
+        for task, position in zip(frames, wanted[frame], strict=True):
+            task.set_target(mink.SE3.from_rotation_and_translation(rotation, position))
+        previous.set_target(configuration.q)
+        descend()
+        qpos[frame] = configuration.q
+        bar.update()
+    return qpos
 
 
 @dataclass(frozen=True)
@@ -334,22 +324,13 @@ _PUBLISHED = [field.name for field in fields(IKResult)][6:]
 def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -> IKResult:
     """Pose a body so that its hands, feet and torso follow a demonstrator's, frame by frame.
 
-    Args:
-        motion: The demonstrator's motion, T frames.
-        body: The learner's body.
-        progress: Show a progress bar.
-
     Raises:
         SilemError: The motion holds NaN or infinity, or no frame converges.
     """
     model, wanted = _compiled(body), targets(motion, body)
-    solver = PoseSolver(model, body)
-    frames = list(zip(wanted.positions, motion.torso_axes, strict=True))
-    # From the standing pose the first frames would end in a minimum with a twisted waist; going
-    # through the clip backwards first gives them a start from within the walk.
-    title = f"{motion.name} on {body.name}"
-    both_ways = tqdm([*reversed(frames), *frames], title, disable=not progress)
-    qpos = np.array([solver.solve(*frame) for frame in both_ways][len(frames) :])
+    title, n_solved = f"{motion.name} on {body.name}", 2 * len(motion.points)
+    with tqdm(total=n_solved, desc=title, disable=not progress) as bar:
+        qpos = _solve(model, body, wanted.positions, motion.torso_axes, bar)
     qvel = kinematics.velocities(model, qpos, motion.rate_hz)
     seen = points, torso_axes, _ = kinematics.observe(model, body.skeleton, qpos, qvel)
     reached = points[:, [POINTS.index(name) for name in TARGETS]]
@@ -389,11 +370,8 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
 def summary(result: IKResult) -> dict[str, Any]:
     """Return the figures of a retargeting that the pages and the manifest show.
 
-    Returns:
-        Residuals in mm (mean and worst per target), the share of frames that converged, the
-        torso's largest tilt in degrees, foot skate in m/s (mean and worst per foot, None for one
-        that never stands), the mean speed in m/s, and per joint the share of frames in which it is
-        at a limit, if any.
+    Foot skate is None for a foot that never stands; the shares of frames in which a joint is at a
+    limit are of those that ever are.
     """
     residuals_mm = dict(zip(TARGETS, 1000 * result.residuals.T, strict=True))
     skates = dict(zip(SIDES, result.foot_skate_m_s.T, strict=True))
@@ -421,14 +399,7 @@ def _rounded(value: float | np.floating[Any]) -> float:
 
 
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
-    """Retarget a published clip to the three humanoids, and publish the result.
-
-    Args:
-        clip: One of `silem.motion.demonstrator.CLIPS`, or an own one.
-        progress: Show progress bars.
-
-    Returns:
-        The files, one per body; the same clip always gives the same bytes.
+    """Retarget a published clip to the three humanoids, and publish the result, a file per body.
 
     Raises:
         SilemError: The clip was not published, or as `retarget_clip`, or another process is
@@ -480,7 +451,7 @@ def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
 
 
 def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states of retargeted demonstrations as states of a learner's body, to start from.
+    """Return states (S, nq), (S, nv) of retargeted demonstrations as states of a learner's body.
 
     Peng20 retargets to an Atlas whose ankles turn further than those of the Atlas that other
     methods train. A hinge beyond its range is put to the limit, at rest, and the body is lifted
@@ -489,9 +460,6 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     Args:
         name: Name of the demonstrations, for example "cmu_08_01_on_Humanoid".
         body: The learner's body.
-
-    Returns:
-        Positions (S, nq) and velocities (S, nv).
 
     Raises:
         SilemError: There are no demonstrations of this name, they hold no states, or states of

@@ -18,13 +18,15 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from silem import bodies
+from silem.bodies import own
 from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
+from silem.study.checkpoint import PROGRESS
 from silem.study.config import RunConfig
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
 from silem.study.studies import Cell, cells, study_configs
-from silem.study.training import PROGRESS
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -211,14 +213,17 @@ class _Pool:
 
     def _spawn(self, task: Task, log: Path) -> int:
         command = [sys.executable, "-m", "silem", *task.arguments]
-        # The folder by its full name: a worker's working directory is another one.
+        for module in sorted({own.module_of(name) or "" for name in bodies.names()} - {""}):
+            command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
+        if root := paths.checkout():
+            moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
         with open(log, "wb") as stream:
             # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then
             # stops each worker once.
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream,
-                env=os.environ | moved, cwd=paths.REPO, start_new_session=True,
+                env=os.environ | moved, start_new_session=True,
             )  # fmt: skip
             self._processes[task.name] = process
             if self._stopping:

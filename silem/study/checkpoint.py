@@ -22,7 +22,7 @@ from silem.study.curve import COLUMNS
 from silem.util import files
 from silem.util.errors import SilemError, reason
 
-CHECKPOINT = "checkpoint.safetensors"
+CHECKPOINT, PROGRESS = "checkpoint.safetensors", "progress.json"
 _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 
 

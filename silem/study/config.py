@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body
+from silem.bodies import Body, own
 from silem.study import settings
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
 from silem.util.errors import SilemError, check_name, choose, reason
@@ -146,7 +146,10 @@ class RunConfig:
     @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
-        words = ["python -m silem run", f"--body {self.body}", f"--method {self.method}"]
+        words = ["python -m silem run"]
+        if module := own.module_of(self.body):
+            words.append(f"--import {module}")
+        words += [f"--body {self.body}", f"--method {self.method}"]
         if self.demonstrations:
             words.append(f"--demonstrations {self.demonstrations}")
         name, _, iterations = self.budget.name.partition("-")

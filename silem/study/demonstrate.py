@@ -9,10 +9,9 @@ from silem.bodies import BulletBody
 from silem.motion import demonstrations as demos
 from silem.study import gait, runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.evaluate import record_episodes
-from silem.study.policies import load_policy
 from silem.study.record import RunRecord
 from silem.study.settings import Budget
+from silem.util import paths
 from silem.util.errors import SilemError
 
 
@@ -86,6 +85,9 @@ def demonstrate(
         SilemError: The run is no expert's, or there are demonstrations of this name by another
             run already.
     """
+    from silem.study.evaluate import record_episodes
+    from silem.study.policies import load_policy
+
     body = record.config["body"]
     name = body if name is None else name
     if record.config["method"] != "ppo":
@@ -99,7 +101,7 @@ def demonstrate(
             if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
                 raise SilemError(
                     f"{path} holds {len(there.features)} trajectories of"
-                    f" {there.expert_run_id or 'another expert'} already; --force replaces them"
+                    f" {there.expert_run_id or 'another expert'} already; {_instead(path)}"
                 )
             if demos.is_published(name):
                 return path
@@ -110,6 +112,14 @@ def demonstrate(
             )
         runner = isinstance(bodies.get(body), BulletBody)
         return demos.publish(name, there, gait.measure(there)._asdict() if runner else None)
+
+
+def _instead(path: Path) -> str:
+    """Say what to do where there are demonstrations already."""
+    root = paths.checkout()
+    if root is not None and path.is_relative_to(root / "data"):  # the committed runs' own
+        return "to record others, set SILEM_DATA_DIR to another folder for expert and recording"
+    return "--force replaces them"
 
 
 def describe(name: str) -> str:

@@ -104,15 +104,15 @@ class RunRecord:
 def provenance() -> dict[str, Any]:
     """Return what the code runs on: commit, pinned environment, package versions, Python.
 
-    ``git_dirty`` tells whether the package's own code differs from the commit. Without git both
-    are None.
+    ``git_dirty`` tells whether the package's own code differs from the commit. Without git, or
+    where the package was installed from a wheel, both are None.
     """
     status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
-    environment = paths.REPO / "environment.txt"
+    root = paths.checkout()
     return {
         "git_commit": git("rev-parse", "HEAD"),
         "git_dirty": None if status is None else bool(status),
-        "environment_sha256": files.sha256(environment) if environment.is_file() else None,
+        "environment_sha256": files.sha256(root / "environment.txt") if root else None,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "machine": machine(),
@@ -151,7 +151,11 @@ def _kernels() -> dict[str, str | None]:
 
 def git(*arguments: str) -> str | None:
     """Return what git says about this repository; None where there is no git or no repository."""
-    command = ["git", "-C", str(paths.REPO), *arguments]
+    root = paths.checkout()
+    # An installed package may lie inside somebody else's repository.
+    if root is None or not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), *arguments]
     try:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):

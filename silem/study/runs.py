@@ -5,26 +5,34 @@ from __future__ import annotations
 import dataclasses
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+<<<<<<< HEAD
+
+from silem import bodies
+=======
 import torch
 
 from silem import bodies
 from silem.algorithms import PPO, SILEM, GAIfO
 from silem.algorithms.networks import AffineTransform
+>>>>>>> bfec66e919f4eeb9c19221408d6167499cd2a759
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.evaluate import Evaluation, evaluate, random_policy
 from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
 from silem.study.settings import check_counts
-from silem.study.training import PROGRESS, Segments, make_env, make_model, task_options, train
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
+
+if TYPE_CHECKING:
+    from silem.algorithms import PPO
+    from silem.study.evaluate import Evaluation
+    from silem.study.training import Segments
 
 LOCK = "run.lock"
 
@@ -123,6 +131,12 @@ def run(
 
 def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it."""
+    import torch  # here, so that looking runs up does not load it
+
+    from silem.algorithms import GAIfO
+    from silem.study.evaluate import evaluate, random_policy
+    from silem.study.training import make_env, make_model, task_options, train
+
     torch.set_num_threads(1)
     began, processor_began = time.perf_counter(), time.process_time()
     source = provenance()
@@ -150,6 +164,8 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     task = task_options(config)
     result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
     _write_outcome(folder, model, segments.curve, config.run_id)
+    if demonstrations is not None:
+        source["expert_run_id"] = demonstrations.expert_run_id
     source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     return _record(config, folder, result, training, source, sha, segments.spent)
 
@@ -172,8 +188,11 @@ def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
 
 
 def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
+    from silem.algorithms import SILEM
+    from silem.algorithms.networks import AffineTransform
+
     files.write_text(folder / CURVE, curve.to_csv(values))
-    files.write_tensors(folder / POLICY, model.policy_arrays(), {"run_id": run_id})
+    model.export_policy(folder / POLICY, run_id=run_id)
     if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
         transform = model.transform_net
         arrays = {"A": transform.scale, "b": transform.offset}

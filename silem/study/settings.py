@@ -172,10 +172,16 @@ class HyperParameters:
         }
 
 
+LARGEST = 10**9
+"""More of anything cannot be run through."""
+
+
 def check_positive_int(name: str, value: Any) -> None:
-    """Raise SilemError unless a value is a whole number above 0."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise SilemError(f"{name} must be a positive whole number, not {value!r}")
+    """Raise SilemError unless a value is a whole number from 1 to `LARGEST`."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
+        raise SilemError(
+            f"{name} must be a positive whole number up to {LARGEST}, not {clipped(repr(value))}"
+        )
 
 
 def _checked(item: dataclasses.Field[Any], value: Any) -> Any:

@@ -25,13 +25,12 @@ from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters
 from silem.util import files, seeding
 from silem.util.errors import SilemError
 
-PROGRESS = "progress.json"
 _PROGRESS_EVERY_S = 2.0
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 # What a run's hyper-parameters say of its policy, its data and its body; the others are arguments
@@ -74,8 +73,9 @@ def make_env(config: RunConfig) -> VecEnv:
 
 
 def unclipped(space: spaces.Space[Any]) -> spaces.Box:
-    """Return a space of actions without bounds, to which a policy's actions are not clipped."""
-    return spaces.Box(-np.inf, np.inf, space.shape, np.float32)
+    """Return a space of actions whose bounds, finite for stable-baselines3, none ever reaches."""
+    bound = float(np.finfo(np.float32).max)
+    return spaces.Box(-bound, bound, space.shape, np.float32)
 
 
 def arguments(config: RunConfig) -> dict[str, Any]:

@@ -118,18 +118,18 @@ def _check_counts(record: RunRecord, config: RunConfig) -> None:
 
 def _check_ranges(record: RunRecord) -> None:
     evaluation, speed_m_s = record.evaluation, record.evaluation["speed_m_s"]
-    rate, processor_s = record.training["steps_per_s"], record.processor_time_s
     # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
-    highest = MAX_STEPS * (1 + max(0.0, speed_m_s))
+    # What other environments pay is not known, nor how fast they are.
+    highest = math.inf if speed_m_s is None else MAX_STEPS * (1 + max(0.0, speed_m_s))
     for name, value, low, high in (
         ("upright", evaluation["upright"], 0.0, 1.0),
         ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S),
         ("return_mean", evaluation["return_mean"], -math.inf, highest),
         ("wall_time_s", record.wall_time_s, 0.0, math.inf),
-        ("processor_time_s", 0.0 if processor_s is None else processor_s, 0.0, math.inf),
-        ("steps_per_s", 0.0 if rate is None else rate, 0.0, math.inf),
+        ("processor_time_s", record.processor_time_s, 0.0, math.inf),
+        ("steps_per_s", record.training["steps_per_s"], 0.0, math.inf),
     ):
-        if not low <= value <= high or value == math.inf:
+        if value is not None and not (low <= value <= high and value < math.inf):
             raise SilemError(f"{name} is {value:g}; it can be {low:g} to {high:g}")
     if record.status != "finished":
         raise SilemError(f"status is {record.status!r}; a record is of a finished run")
@@ -236,10 +236,12 @@ def _evaluated(record: RunRecord, n: int) -> Verdict:
 
     from silem.study.evaluate import EVALUATION_SEED, episodes
     from silem.study.policies import load_policy
+    from silem.study.training import task_options
 
     torch.set_num_threads(1)
-    evaluation, learner = record.evaluation, record.run_config().learner
-    every = episodes(load_policy(record), learner, evaluation["n_episodes"], EVALUATION_SEED)
+    evaluation, config = record.evaluation, record.run_config()
+    policy, task = load_policy(record), task_options(config)
+    every = episodes(policy, config.learner, evaluation["n_episodes"], EVALUATION_SEED, **task)
     there = list(itertools.islice(every, n))
     every.close()
     recorded = np.array(evaluation["returns"][:n])
@@ -248,8 +250,11 @@ def _evaluated(record: RunRecord, n: int) -> Verdict:
     same = n_equal == n
     if n == evaluation["n_episodes"]:
         for name in ("speed_m_s", "upright"):
-            found = float(np.mean([getattr(episode, name) for episode in there]))
-            same = same and math.isclose(found, evaluation[name], abs_tol=1e-9)
+            values = [getattr(episode, name) for episode in there]
+            if evaluation[name] is None:
+                same = same and set(values) == {None}
+            else:
+                same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
     difference = abs(float(returns.mean() - recorded.mean()))
     spread = max(evaluation["return_std"], float(returns.std()))
     bound = TOLERANCE * spread * math.sqrt(2 / n)

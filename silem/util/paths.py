@@ -1,7 +1,9 @@
 """Every folder of the project, named once.
 
-``SILEM_DATA_DIR`` moves the folders that the program writes to; the paper's own tables are source
-and never move. The functions only name folders; whoever writes a file creates its folder.
+``SILEM_DATA_DIR`` moves the folders that the program writes to. Without it they are ``data/`` in a
+checkout, or ``silem-data/`` in the working folder of whoever installed the package. The paper's
+tables, the bodies' constants and the human's clips are part of the package and never move. The
+functions only name folders; whoever writes a file creates its folder.
 """
 
 from __future__ import annotations
@@ -9,16 +11,36 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from silem.util.errors import check_name
+from silem.util.errors import SilemError, check_name
 
-REPO = Path(__file__).resolve().parent.parent.parent
-"""The repository's root (the folder that holds ``silem/``)."""
+PACKAGE = Path(__file__).resolve().parent.parent
+"""The folder of the package."""
+
+REPO: Path
+"""The root of the checkout that the package lies in. Where it was installed from a wheel there is
+none, and asking for it raises SilemError; `checkout` returns None instead."""
+
+
+def checkout() -> Path | None:
+    """Return the root of the checkout that the package lies in, or None if it was installed."""
+    root = PACKAGE.parent
+    return root if (root / "pyproject.toml").is_file() else None
+
+
+def __getattr__(name: str) -> Path:
+    if name != "REPO":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if (root := checkout()) is None:
+        raise SilemError("the book and its figures need a checkout of the project, not a wheel")
+    return root
 
 
 def data_dir() -> Path:
-    """Return the data folder: ``$SILEM_DATA_DIR`` if set, else ``data/`` in the repository."""
-    moved = os.environ.get("SILEM_DATA_DIR")
-    return Path(moved).expanduser().resolve() if moved else REPO / "data"
+    """Return the data folder: ``$SILEM_DATA_DIR``, a checkout's ``data/``, or ``./silem-data``."""
+    if moved := os.environ.get("SILEM_DATA_DIR"):
+        return Path(moved).expanduser().resolve()
+    root = checkout()
+    return root / "data" if root else Path.cwd() / "silem-data"
 
 
 def results_dir(study: str) -> Path:
@@ -34,3 +56,9 @@ def runs_dir() -> Path:
 def demonstrations_dir() -> Path:
     """Return the folder of the experts' recorded demonstrations."""
     return data_dir() / "demonstrations"
+
+
+def clips_dir() -> Path:
+    """Return the folder of the human's clips that come with the project."""
+    root = checkout()
+    return root / "data" / "demonstrations" if root else PACKAGE / "clips"

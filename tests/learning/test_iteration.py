@@ -43,6 +43,23 @@ def test_rewards_are_the_new_discriminators_of_what_the_old_transform_made() -> 
         assert np.allclose(rewards, expected, atol=1e-6) == (which == ("new D", "old T")), which
 
 
+def test_transform_learns_from_the_copy_that_it_has_not_changed(monkeypatch) -> None:
+    """Line 10 takes tau_c of line 7, line 9 what line 8 made of it."""
+    model, seen = make_model(transform_learning_rate=0.1).learn(120), {}
+    old = copy.deepcopy(model.transform_net)
+    for name in ("update_discriminator", "update_transform"):
+        method = getattr(model, name)
+        monkeypatch.setattr(
+            model, name, lambda o, name=name, method=method: (seen.update({name: o}), method(o))[1]
+        )
+    model.learn(120, reset_num_timesteps=False)
+    tau_c = th.from_numpy(model._windows.reshape(-1, 4, 2))
+    assert th.equal(seen["update_transform"], tau_c)
+    with th.no_grad():
+        assert th.equal(seen["update_discriminator"], old(tau_c))
+    assert not th.allclose(seen["update_discriminator"], tau_c)
+
+
 def test_gaifo_is_silem_whose_transform_never_moves(monkeypatch) -> None:
     """Bit for bit, so SILEM-minus and the identity in T's place are one thing."""
     gaifo, moving = make_model(GAIfO).learn(360), make_model(SILEM).learn(360)
@@ -144,6 +161,19 @@ class Bounded(gym.Env):
         self.state = (0.8 * self.state + 0.3 * kick).astype(np.float32)
         fell = bool(abs(self.state[0]) > 1.0)
         return self.state.copy(), float(self.state.sum()), fell, self.steps == 9, {}
+
+
+@pytest.mark.parametrize("clip_range_vf", [None, 0.2])  # the second goes stable-baselines3's way
+def test_moments_are_those_of_all_observations_so_far(clip_range_vf: float | None) -> None:
+    model = make_model(GAIfO, clip_range_vf=clip_range_vf)
+    extractor, seen = model.policy.features_extractor, []
+    for iteration in range(3):
+        model.learn(120, reset_num_timesteps=iteration == 0)
+        seen.append(model.rollout_buffer.observations.reshape(-1, 2).copy())
+        states = np.concatenate(seen)
+        np.testing.assert_allclose(extractor.mean, states.mean(axis=0), rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(extractor.var, states.var(axis=0), rtol=1e-2, atol=1e-5)
+    assert (model._fast is None) == (clip_range_vf is not None)
 
 
 def flat(model: SB3PPO, name: str) -> np.ndarray:

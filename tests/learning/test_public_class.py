@@ -131,6 +131,25 @@ def test_twin_and_torch_agree_whichever_way_parameters_come_in(way_in, tmp_path)
     assert not np.array_equal(model.predict(obs, deterministic=True)[0], expected)
 
 
+class Replaces(BaseCallback):
+    """Puts other tensors into the policy's parameters between rollout and update."""
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        for p in self.model.policy.parameters():
+            p.data = p.detach().clone()
+        self.before = [p.detach().clone() for p in self.model.policy.parameters()]
+
+
+def test_update_reaches_tensors_that_a_callback_has_put_in_place() -> None:
+    model, callback = new(), Replaces()
+    model.learn(240, callback=callback)
+    after = zip(callback.before, model.policy.parameters(), strict=True)
+    assert all(not th.equal(old, p) for old, p in after)
+
+
 class Noise(gym.Env):
     """Observes samples of a space, whatever is done."""
 
@@ -546,7 +565,7 @@ def test_rewards_by_their_formulas(reward: str) -> None:
 @pytest.mark.parametrize(
     ("env_id", "settings"),
     [
-        ("Pendulum-v1", {}),
+        ("Pendulum-v1", {}),  # its actions go to 2, not to 1
         ("Pendulum-v1", {"normalize_observations": False}),
         ("Pendulum-v1", {"policy_kwargs": {"net_arch": []}}),
         ("Pendulum-v1", {"policy_kwargs": {"net_arch": {"pi": [9] * 12, "vf": [7]}}}),
@@ -571,6 +590,21 @@ def test_exported_policies_act_alike_and_learn_on(env_id: str, settings: dict, t
     plain.learn(120)
     changed = zip(policy.parameters(), model.policy.parameters(), strict=True)
     assert any(not th.equal(a, b) for a, b in changed)
+
+
+@pytest.mark.parametrize(
+    "space", [spaces.MultiDiscrete([3, 4]), spaces.MultiBinary(4), spaces.Box(-1.5, 3.0, (2,))]
+)
+def test_action_spaces_are_exported_too(space: spaces.Space, tmp_path) -> None:
+    env = DummyVecEnv([lambda: Noise(BOX, space)])
+    model = silem.PPO("MlpPolicy", env, n_steps=16, batch_size=16)
+    model.export_policy(tmp_path / "policy.safetensors", run_id="a run")
+    policy = silem.load_policy(tmp_path / "policy.safetensors")
+    assert policy.action_space == space
+    obs = env.reset()
+    expected = model.predict(obs, deterministic=True)[0]
+    np.testing.assert_allclose(policy.predict(obs, deterministic=True)[0], expected, rtol=1e-5)
+    assert silem.util.files.read_tensors(tmp_path / "policy.safetensors")[1]["run_id"] == "a run"
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path) -> None:

@@ -36,12 +36,14 @@ def humanoids(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("humanoids")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SILEM_DATA_DIR", str(folder))
-        synthetic.write_record(planned("humanoids", "silem", "Humanoid"), 840.0)
-        synthetic.write_record(planned("humanoids", "ppo", "Humanoid"), 860.0)
-        synthetic.write_record(shortened(planned("humanoids", "silem", "Atlas")), 60.0)
         starts = shortened(planned("demonstration-starts", "silem", "Humanoid"))
         synthetic.write_record(starts, 90.0)
-        add_untrained_policy(planned("humanoids", "silem", "Humanoid"))
+        configs = [planned("humanoids", method, "Humanoid") for method in ("silem", "ppo")]
+        configs.append(shortened(planned("humanoids", "silem", "Atlas")))
+        for config, return_mean in zip(configs, (840.0, 860.0, 60.0), strict=True):
+            synthetic.write_record(config, return_mean)
+        for config in configs:
+            add_untrained_policy(config)
     return folder
 
 
@@ -78,8 +80,11 @@ def test_walking(execute: Execute) -> None:
         assert "No videos of Humanoid" in words(film)
     else:
         assert film.count("data:video/mp4;base64,") == 1
-        assert "best trials, in real time: SILEM No finished run" in words(film)
-        assert "No finished run on Atlas yet" in words(output(page, "film-Atlas"))
+        assert re.search(
+            r"real time: SILEM.* \| PPO.* No finished run .*: SILEM⁻; TPIL", words(film)
+        )
+        assert "real time: SILEM, 250 iterations" in words(output(page, "film-Atlas"))
+        assert "No finished run on HumanoidR yet" in words(output(page, "film-HumanoidR"))
 
 
 def test_without_any_run_the_page_says_so(execute: Execute) -> None:

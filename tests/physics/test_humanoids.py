@@ -213,6 +213,19 @@ def test_episodes_start_from_given_states():
     assert set(env.simulation.read().qpos[:, 0]) == {5.0, 6.0}
 
 
+def test_a_placed_state_remembers_nothing():
+    simulation, fresh = (Simulation(bodies.get("Humanoid"), 2) for _ in range(2))
+    for row in actions(5, 2):
+        simulation.advance(row)
+    pose = np.array(simulation.body.standing_pose)
+    for each in (simulation, fresh):
+        each.place(1, pose, np.full(27, 0.1))
+    ours, theirs = simulation.data(1), fresh.data(1)
+    for field in ("time", "qpos", "qvel", "ctrl", "qacc_warmstart", "xpos", "subtree_linvel"):
+        np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
+    assert simulation.data(0).time > 0  # the other one goes on
+
+
 def test_arms_are_scaled_and_nothing_else():
     plain, scaled = (
         mujoco.MjModel.from_xml_string(bodies.get(name).model_xml())
@@ -264,8 +277,11 @@ def test_bad_input_is_refused():
         env.step(np.zeros((2, 20)))
     with pytest.raises(SilemError, match="NaN"):
         env.step(np.full((2, 21), np.nan))
-    with pytest.raises(SilemError, match="must be above 0"):
+    with pytest.raises(SilemError, match="0 threads; allowed: whole numbers from 1"):
         make_vec("Humanoid", n_threads=0)
+    for make in (make_vec, MujocoEnv):
+        with pytest.raises(SilemError, match="speed of 0 m/s; allowed: above 0"):
+            make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
         MujocoVecEnv("HC0")
     with pytest.raises(SilemError, match="arm scaled by -1"):

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs.mujoco import task as walking
 from silem.motion import demonstrations, retargeted
 from silem.motion.demonstrations import Demonstrations
@@ -142,7 +143,7 @@ def test_the_studys_clip_asks_for_what_the_task_always_asked_for() -> None:
     for body in BODIES:
         for method in ("silem", "silem-minus", "tpil", "peng20"):
             asked = task_options(RunConfig.create(body, method))
-            assert asked == {"speed_m_s": walking.DEMONSTRATOR_SPEED_M_S}
+            assert asked == {"speed_m_s": DEMONSTRATOR_SPEED_M_S}
         assert task_options(RunConfig.create(body, "ppo")) == {}
     assert task_options(RunConfig.create("HC2", "silem")) == {}
 
@@ -187,7 +188,7 @@ def test_an_own_clip_gives_the_task_its_speed_and_episodes_their_starts(
         reading, head_m = env.simulation.read(), bodies.get("Humanoid").standing_head_m
         assert not dones.any()
         np.testing.assert_allclose(rewards, walking.rewards(reading, actions, head_m, 0.8), 1e-6)
-        other = walking.rewards(reading, actions, head_m, walking.DEMONSTRATOR_SPEED_M_S)
+        other = walking.rewards(reading, actions, head_m, DEMONSTRATOR_SPEED_M_S)
         assert (rewards > other).all()
     finally:
         env.close()

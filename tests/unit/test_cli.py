@@ -1,17 +1,21 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from silem import bodies
-from silem.__main__ import main
-from silem.study import runs
+import silem
+from silem import bodies, cli
+from silem.cli import main, parser
+from silem.report import video
+from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
@@ -27,21 +31,46 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("words", "message"),
     [
         ("run --body HC9 --method ppo", "unknown body 'HC9'; allowed: HC0"),
-        ("run --body HC0", "needs --body and --method"),
+        ("run --body HC0", "--body and --method are needed"),
         ("run --body HC0 --method ppo --budget big", "unknown budget 'big'; allowed: tiny"),
         ("run --body HC0 --method ppo --set gamma", "NAME=VALUE"),
         ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
-        ("run --body HC0 --method ppo --set gama=0.9", "unknown hyper-parameter of ppo 'gama'"),
+        ("run --body HC0 --method ppo --set gama=0.9", "unknown setting of ppo on HC0 'gama'"),
         ("run --body HC0 --method silem --quiet", "python -m silem demonstrations --body HC0"),
         ("run --config nowhere.json", "cannot read nowhere.json"),
         ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
-        ("campaign --workers 0 --method random", "workers must be 1 or more"),
+        ("campaign --workers 0 --method random", "--workers: '0' is no whole number from 1"),
         ("campaign --method silem --budget tiny", "needs demonstrations of HC0"),
         ("campaign --body HC9", "unknown body 'HC9'"),
         ("status --study chess", "unknown study 'chess'"),
         ("evaluate ppo_HC0", "no finished run 'ppo_HC0'"),
         ("render ppo_HC0 --out x.mp4", "no finished run"),
         ("demonstrations", "needs either --body or --run"),
+        ("", "arguments are required: COMMAND (see `silem --help`)"),
+        ("fly", "invalid choice: 'fly'"),
+        ("run --body HC0 --method ppo --iterations 0", "'0' is no whole number from 1"),
+        ("run --body HC0 --method ppo --iterations 1e3", "'1e3' is no whole number"),
+        (f"run --body HC0 --method ppo --iterations {'9' * 400}", "999...' is no whole number"),
+        ("run --body HC0 --method ppo --seed -1", "--seed: '-1' is no whole number from 0"),
+        (f"run --body HC0 --method ppo --seed {2**31}", "to 2147483647"),
+        ("run --body HC0 --method ppo --set body=", "setting of ppo on HC0 'body'; allowed: lea"),
+        ("run --body HC0 --method ppo --set seed=3", "unknown setting of ppo on HC0 'seed'"),
+        ("run --body HC0 --method ppo --set =3", "unknown setting of ppo on HC0 ''"),
+        ("run --body HC0 --method ppo --set gamma=", "gamma: '' is no number"),
+        (f"run --body HC0 --method ppo --set learning_rate={'9' * 400}", "out of range"),
+        (
+            f"run --body HC0 --method ppo --set n_epochs={'9' * 400}",
+            "up to 1000000000, not 99",
+        ),
+        (f"run --body HC0 --method ppo --set n_epochs={'9' * 5000}", "999...' is no number"),
+        (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
+        ("run --body HC0 --config a.json --seed 0", "--config says all that --body, --seed would"),
+        ("evaluate ppo_HC0 --episodes 0", "'0' is no whole number from 1"),
+        ("render ppo_HC0 --out x.xyz", "'x.xyz' ends in none of .mp4, .webp"),
+        ("render ppo_HC0 --out x.mp4 --seconds 1e12", "'1e12' is no number of seconds above 0"),
+        ("render ppo_HC0 --out x.mp4 --seconds nan", "'nan' is no number of seconds"),
+        ("render ppo_HC0 --out x.mp4 --seed -1", "'-1' is no whole number from 0"),
+        ("bodies --import no_such_module", "cannot import no_such_module: ModuleNotFoundError"),
         (
             "demonstrations --body HC0 --budget tiny",
             "are not finished; next: python -m silem run --body HC0",
@@ -66,11 +95,14 @@ def test_run_evaluate_and_status(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 0
     first = capsys.readouterr().out
     config = RunConfig.create("HC1", "random")
-    assert first.startswith(f"{config.run_id}: return -")
+    evaluation, record = first.splitlines()
+    assert evaluation.startswith(f"{config.run_id}: return -")
+    assert files.read_json(Path(record))["run_id"] == config.run_id
     assert main(command) == 0
     assert capsys.readouterr().out == first
-    assert main(["evaluate", config.run_id, "--episodes", "2"]) == 0
-    assert capsys.readouterr().out == first
+    assert main(["evaluate", config.run_id, "--episodes", "2", "--quiet"]) == 0
+    again = capsys.readouterr()
+    assert (again.out, again.err) == (f"{evaluation}\n", "")
     assert main(["status", "--budget", "tiny"]) == 0
     table = capsys.readouterr().out.splitlines()
     assert [line for line in table if "finished" in line] == [
@@ -83,6 +115,172 @@ def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bodies"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == bodies.names()
+
+
+def test_a_body_that_a_module_replaces_is_the_modules(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(data)
+    (data / "longer.py").write_text(OWN.replace("HC1p5", "HC1").replace("1.5)", "1.5), True"))
+    done = python(
+        "-c",
+        "from silem.bodies import own; own.load('longer'); print(own.module_of('HC1'),"
+        " own.module_of('HC2'))",
+        cwd=data,
+    )
+    assert done.stdout == "longer None\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"body": None}, "unknown body None"),
+        ({"body": ["HC0"]}, "unknown body ['HC0']"),
+        ({"method": None}, "unknown method None"),
+        ({"study": 7}, "study must be a name"),
+        ({"budget": None}, "no valid run configuration"),
+        ({"budget": {"name": None}}, "budget must be a name"),
+        ({"hyper": None}, "no valid run configuration"),
+        ({"hyper": {"body": "HC0"}}, "no valid run configuration"),
+        ({"seed": None}, "seed must be a whole number"),
+    ],
+)
+def test_a_configuration_of_the_wrong_kind_is_one_line(
+    content: dict[str, Any], message: str, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = RunConfig.create("HC1", "random").to_dict()
+    if isinstance(content.get("budget"), dict):
+        content["budget"] = whole["budget"] | content["budget"]
+    files.write_json(data / "config.json", whole | content)
+    assert main(["run", "--config", str(data / "config.json")]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_the_endings_of_films_are_those_that_can_be_written() -> None:
+    for ending in cli.FILM_ENDINGS:
+        assert parser().parse_args(["render", "run", "--out", f"x{ending}"]).out.suffix == ending
+    assert sorted(cli.FILM_ENDINGS) == sorted(video._ENCODERS)
+
+
+OWN = """
+import silem
+from silem.bodies import half_cheetah
+
+silem.bodies.register(half_cheetah.body("HC1p5", torso_length_m=1.5))
+"""
+
+
+def test_a_body_of_ones_own_by_import(data: Path) -> None:
+    (data / "my_bodies.py").write_text(OWN)
+    words = "run --import my_bodies --body HC1p5 --method random --study mine --quiet"
+    code = f"""
+import sys
+from silem import bodies, cli
+from silem.study.campaign import campaign
+from silem.study.config import RunConfig
+
+assert cli.main({words.split()!r}) == 0
+config = RunConfig.create("HC1p5", "random", seed=1, study="mine")
+print(config.command)
+(record,) = campaign([config], n_workers=1, progress=False)
+print(record.run_id == config.run_id)
+"""
+    done = python("-c", code, cwd=data)
+    assert done.returncode == 0, done.stderr
+    command, made = done.stdout.splitlines()[-2:]
+    assert "run --import my_bodies --body HC1p5" in command
+    assert made == "True"
+    assert python(*shlex.split(command)[1:], cwd=data).returncode == 0
+    without = python(*shlex.split(command.replace("--import my_bodies ", ""))[1:], cwd=data)
+    assert "unknown body 'HC1p5'" in without.stderr
+
+
+def test_bodies_of_installed_packages(data: Path) -> None:
+    (data / "plugin.py").write_text(OWN)
+    for name, target in (("good", "plugin"), ("bad", "no_such_plugin")):
+        info = data / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[silem.bodies]\n{name} = {target}\n")
+    code = "import gymnasium, silem; print(gymnasium.make('silem/HC1p5-v0').unwrapped.body.length)"
+    done = python("-c", code, cwd=data, PYTHONPATH=f"{paths.REPO}:{data}")
+    assert "('length of the torso', 1.5)" in done.stdout, done.stderr
+    assert "the bodies of no_such_plugin are left out: ModuleNotFoundError" in done.stderr
+
+
+def test_recording_never_advises_to_replace_what_is_committed(tmp_path: Path) -> None:
+    committed = demonstrate._instead(paths.REPO / "data" / "demonstrations" / "HC0.npz")
+    assert "SILEM_DATA_DIR" in committed
+    assert "--force" not in committed
+    assert "--force replaces them" in demonstrate._instead(tmp_path / "HC0.npz")
+
+
+HEAVY = ("torch", "stable_baselines3", "pybullet", "scipy", "pandas", "matplotlib", "imageio")
+
+
+@pytest.mark.parametrize("words", ["--help", "--version", "run --help", "bodies", "status", "run"])
+def test_what_needs_no_learning_loads_none(words: str, data: Path) -> None:
+    code = f"""
+import sys
+from silem.cli import main
+try:
+    main({words.split()!r})
+finally:
+    print([name for name in {HEAVY} if name in sys.modules])
+"""
+    done = python("-c", code, cwd=data)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "build time" not in done.stdout  # PyBullet's greeting
+
+
+def test_the_package_loads_lazily_and_knows_what_it_offers(data: Path) -> None:
+    code = f"""
+import sys, silem, gymnasium
+print([name for name in {HEAVY} if name in sys.modules])
+print(sorted(set(silem.__all__) - set(dir(silem))), "silem/Atlas-v0" in gymnasium.registry)
+print([name for name in silem.__all__ if getattr(silem, name) is None], silem.SILEM.__name__)
+"""
+    done = python("-c", code, cwd=data)
+    assert done.stdout.splitlines()[0] == "[]"
+    assert done.stdout.splitlines()[1] == "[] True"
+    assert done.stdout.splitlines()[-1] == "[] SILEM"
+    with pytest.raises(AttributeError, match="no attribute 'SILLEM'"):
+        _ = silem.SILLEM
+
+
+def python(*arguments: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
+    env = {"PYTHONPATH": str(paths.REPO)} | env
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd, env=os.environ | env, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_a_closed_pipe_and_a_full_disk_are_no_traceback(data: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    for words, code in ((["bodies"], 141), (["--help"], 0)):  # argparse's own help lets it go
+        done = subprocess.run(
+            [sys.executable, "-m", "silem", *words],
+            cwd=paths.REPO, stdout=writer, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (code, "")
+    os.close(writer)
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "silem", "bodies"],
+            cwd=paths.REPO, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (1, "silem: No space left on device\n")
+
+
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_stopping_while_options_are_parsed_is_one_line(sent: str, data: Path) -> None:
+    (data / "slow.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
+    done = python("-m", "silem", "status", "--import", "slow", cwd=data)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "silem: stopped\n")
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from silem import bodies, paper
-from silem.__main__ import config_of, parser
 from silem.bodies import humanoid
+from silem.cli import config_of, parser
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters
 from silem.util.errors import SilemError

@@ -39,8 +39,20 @@ def test_publishing_needs_no_returns(tmp_path: Path, monkeypatch: pytest.MonkeyP
     entry = demos.entry("clip")
     assert (entry["return_mean"], entry["source"]) == (None, "a page")
     assert entry["sha256"] == files.sha256(tmp_path / "demonstrations" / "clip.npz")
-    with pytest.raises(SilemError, match="unknown demonstrations 'dance'; allowed: clip"):
+    with pytest.raises(SilemError, match=r"unknown demonstrations 'dance'; allowed: .*clip"):
         demos.entry("dance")
+
+
+def test_ones_own_file_needs_no_manifest_but_an_experts_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    path = demos.file_of("mine")
+    Demonstrations((FEATURES,)).save(path)
+    assert demos.load_published("mine")[1] == files.sha256(path)
+    Demonstrations((FEATURES,), (1.0,), "HC0", "an expert").save(path)
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json"):
+        demos.load_published("mine")
 
 
 FEATURES = np.arange(10, dtype=np.float32).reshape(5, 2)
@@ -146,3 +158,16 @@ def test_wherever_publishing_is_killed_asking_again_mends_it(
         step += 1
     assert code == 0 and step > 8
     assert apart > 0  # else no kill came between the two writes
+
+
+def test_the_clips_come_with_the_package_and_experts_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    assert demos.load_published("cmu_08_01")[0].n_features == 23
+    assert demos.entry("cmu_08_01_on_Atlas")["body"] == "Atlas"
+    assert not demos.file_of("HC0").exists()
+    mine = Demonstrations.from_arrays([np.zeros((3, 2))])
+    assert demos.publish("cmu_08_01", mine).is_relative_to(tmp_path)  # and then goes before
+    assert demos.load_published("cmu_08_01")[0].n_features == 2
+    assert list(files.read_json(tmp_path / "demonstrations" / demos.MANIFEST)) == ["cmu_08_01"]

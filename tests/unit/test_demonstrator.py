@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from synthetic_clips import UNIT_M, Files, frame_of, joints, skeleton_text, walk
 
-from silem.__main__ import main
+from silem.cli import main
 from silem.motion import clips, demonstrator, kinematics, retargeted, retargeting
 from silem.motion import demonstrations as demos
 from silem.motion.clips import read_amc, read_asf

@@ -142,7 +142,7 @@ def test_experts_are_filmed_side_by_side(data: Path) -> None:
     shown = gaits.load("HC0", "book", 1) | {"HC0_s4": None}
     clip = gaits.film_experts(shown, 0.1)
     assert clip is not None
-    assert clip.frames.shape[1:3] == (2 * 240 + 8, 3 * 320 + 2 * 8)
+    assert clip.frames.shape[1:3] == (2 * 240 + 8, 3 * 320 + 16)
     assert gaits.film_experts({"HC0_s0": None}, 0.1) is None
 
 
@@ -223,7 +223,7 @@ def test_best_and_worst_are_filmed_side_by_side(data: Path) -> None:
     for row in records.itertuples():
         with_policy(results.find(row.run_id))
     best, worst = gaits.extremes(records).items()
-    assert best[0] == "best: HC1, SILEM, trial 1"
+    assert best[0] == "best: HC1, SILEM, trial 2"
     assert worst[0] == "worst: HC1, SILEM, trial 0"
     assert best[1].config["demonstrations"] == "HC0_s1"
     clip = gaits.film_extremes(records, 0.1)

@@ -16,6 +16,7 @@ from silem.report.claims import MARGIN
 from silem.report.figures.compared import compared_curves
 from silem.report.pages import walking
 from silem.study.config import RunConfig
+from silem.study.record import RunRecord
 from silem.study.studies import cells
 
 SHORT = 250
@@ -168,15 +169,24 @@ def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
     assert_readable(figure)
 
 
-def test_only_runs_with_a_policy_are_filmed(
+def test_the_best_planned_run_of_each_method_is_filmed(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert walking.best(frame, "silem", "Humanoid") is None  # made-up runs have none
+    filmed: dict[str, RunRecord] = {}
     notes: list[str] = []
+    clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
+    monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
+    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
     monkeypatch.setattr(notebook, "note", notes.append)
     monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
     walking.show(frame, "Humanoid", 0.1)
-    assert notes == ["No finished run on Humanoid yet: SILEM; SILEM⁻; TPIL; Peng20; PPO."]
+    assert list(filmed) == ["SILEM", f"PPO, {SHORT} iterations"]
+    best = results.cell(frame, "silem", "Humanoid").nlargest(1, "return_mean")
+    assert filmed["SILEM"].run_id == best["run_id"].item()
+    assert notes == [
+        "Humanoid, best trials, in real time: a clip",
+        "No finished run on Humanoid yet: SILEM⁻; TPIL; Peng20.",
+    ]
     monkeypatch.setattr(film, "why_no_pictures", lambda body: "no OpenGL")
     walking.show(frame, "Humanoid", 0.1)
     assert notes[-1] == "No videos of Humanoid: no OpenGL"

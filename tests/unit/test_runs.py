@@ -431,3 +431,14 @@ def test_what_can_be_no_runs_name_is_refused(data: Path, run_id: Any) -> None:
     runs.run(small("random"), progress=False)
     with pytest.raises(SilemError, match="run id must be a name"):
         runs.find(run_id)
+
+
+def test_unclipped_actions_reach_the_environment_as_they_are() -> None:
+    config = RunConfig.create("HC0", "ppo", budget="tiny", clip_actions=False)
+    env = training.make_env(config)
+    try:
+        model = training.make_model(config, env, None)
+        actions = np.full((2, 6), 7.0, np.float32)
+        np.testing.assert_array_equal(model._env_actions(actions), actions)
+    finally:
+        env.close()

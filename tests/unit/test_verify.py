@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import synthetic_records as synthetic
 
-from silem.__main__ import main
+from silem.cli import main
 from silem.study import runs, verify
 from silem.study.config import RunConfig
 from silem.study.record import CURVE, POLICY, RECORD, git

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from silem.bodies import Body
+from silem.bodies import Body, BulletBody
 from silem.envs.base import SingleEnv
 from silem.envs.bullet.camera import Camera
 from silem.envs.bullet.simulator import Simulator, body_of, start_angles
@@ -15,6 +15,8 @@ from silem.envs.bullet.task import LocomotionTask, as_observations, observation_
 
 class BulletEnv(SingleEnv):
     """One body on its track."""
+
+    body: BulletBody
 
     def __init__(
         self,
@@ -34,16 +36,16 @@ class BulletEnv(SingleEnv):
         Raises:
             SilemError: If the body or the render mode is unknown.
         """
-        self._learner = body_of(body)
+        learner = body_of(body)
         self._simulator: Simulator | None = None
-        space = observation_space(self._learner)
-        super().__init__(self._learner, space, render_mode, (width, height))
+        space = observation_space(learner)
+        super().__init__(learner, space, render_mode, (width, height))
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         if self._simulator is None:
-            self._simulator = Simulator(self._learner)
-            self._task = LocomotionTask(self._learner, self._simulator.limits)
-        state = self._simulator.reset(start_angles(self.np_random, self._learner))
+            self._simulator = Simulator(self.body)
+            self._task = LocomotionTask(self.body, self._simulator.limits)
+        state = self._simulator.reset(start_angles(self.np_random, self.body))
         return as_observations(self._task.begin(state)), {}
 
     def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem.bodies import Body
+from silem.bodies import Body, BulletBody
 from silem.envs.base import BatchedEnv
 from silem.envs.bullet.camera import Camera
 from silem.envs.bullet.simulator import Simulator, body_of, start_angles
@@ -23,6 +23,8 @@ class BulletVecEnv(BatchedEnv):
     Attributes:
         simulators: The E simulators; empty before the first `reset` and after `close`.
     """
+
+    body: BulletBody
 
     def __init__(
         self,
@@ -44,42 +46,28 @@ class BulletVecEnv(BatchedEnv):
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self._learner = body_of(body)
+        learner = body_of(body)
         self.simulators: list[Simulator] = []
-        space = observation_space(self._learner)
-        super().__init__(self._learner, space, n_envs, seed, max_steps, render_mode)
+        space = observation_space(learner)
+        super().__init__(learner, space, n_envs, seed, max_steps, render_mode)
 
-    def reset(self) -> np.ndarray:
-        """Start a new episode in every environment.
-
-        Returns:
-            (E, O) first observations, float32.
-        """
-        if self._take_seed() or not self.simulators:
+    def _restart(self, is_seeded: bool) -> np.ndarray:
+        if is_seeded or not self.simulators:
             self.close()
-            self.simulators = [Simulator(self._learner) for _ in range(self.num_envs)]
+            self.simulators = [Simulator(self.body) for _ in range(self.num_envs)]
             self._tasks = [
-                LocomotionTask(self._learner, sim.limits, self.max_steps) for sim in self.simulators
+                LocomotionTask(self.body, sim.limits, self.max_steps) for sim in self.simulators
             ]
         self.reset_infos = [{} for _ in range(self.num_envs)]
-        self._actions = None
         return np.stack([self._begin(index) for index in range(self.num_envs)])
 
-    def step_wait(self) -> VecEnvStepReturn:
-        """Step every environment by one control step.
-
-        Returns:
-            Observations (E, O) and rewards (E,), float32, dones (E,) and E infos.
-
-        Raises:
-            SilemError: If the environments were not reset, or there is no action.
-        """
-        actions = self._take_actions().tolist()
+    def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
+        rows = actions.tolist()
         # One kind of work after the other, so that its code is still in the processor's caches.
-        for simulator, action in zip(self.simulators, actions, strict=True):
+        for simulator, action in zip(self.simulators, rows, strict=True):
             simulator.advance(action)
         states = [simulator.read() for simulator in self.simulators]
-        moves = zip(self._tasks, actions, states, strict=True)
+        moves = zip(self._tasks, rows, states, strict=True)
         results = [task.step(action, state) for task, action, state in moves]
         raw_observations, rewards, dones = zip(*results, strict=True)
         observations = as_observations(raw_observations)
@@ -106,6 +94,6 @@ class BulletVecEnv(BatchedEnv):
 
     def _begin(self, index: int) -> np.ndarray:
         """Start an episode of one environment and return its first observation (O,)."""
-        angles = start_angles(self._generators[index], self._learner)
+        angles = start_angles(self._generators[index], self.body)
         state = self.simulators[index].reset(angles)
         return as_observations(self._tasks[index].begin(state))

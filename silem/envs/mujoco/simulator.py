@@ -90,7 +90,7 @@ class Simulation:
 def _model(body: MujocoBody) -> mujoco.MjModel:
     """Compile a body's model, with one sensor: the velocity of its centre of mass."""
     spec = mujoco.MjSpec.from_string(body.model_xml())
-    for sensor in spec.sensors:
+    for sensor in list(spec.sensors):
         spec.delete(sensor)
     root = spec.body(body.skeleton.torso)
     while root.parent.name != "world":

@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from silem.bodies import Body
+from silem.bodies import Body, MujocoBody
 from silem.envs.base import SingleEnv
 from silem.envs.mujoco.camera import MujocoCamera
 from silem.envs.mujoco.simulator import Simulation, StartStates, body_of, start_state
-from silem.envs.mujoco.task import observation_space, observe, rewards
+from silem.envs.mujoco.task import observation_space, observe, rewards, target_speed
 
 
 class MujocoEnv(SingleEnv):
     """One humanoid that learns to walk."""
+
+    body: MujocoBody
 
     def __init__(
         self,
@@ -37,19 +39,17 @@ class MujocoEnv(SingleEnv):
             starts: States that episodes start from; None means the standing pose, small noise.
 
         Raises:
-            SilemError: If the body or the render mode is unknown.
+            SilemError: If the body or the render mode is unknown, or the speed not above 0.
         """
-        self._learner = body_of(body)
-        self._speed_m_s, self._starts = speed_m_s or self._learner.target_speed_m_s, starts
+        learner = body_of(body)
+        self._speed_m_s, self._starts = target_speed(learner, speed_m_s), starts
         self._simulation: Simulation | None = None
-        super().__init__(
-            self._learner, observation_space(self._learner), render_mode, (width, height)
-        )
+        super().__init__(learner, observation_space(learner), render_mode, (width, height))
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         if self._simulation is None:
-            self._simulation = Simulation(self._learner, 1)
-        self._simulation.place(0, *start_state(self.np_random, self._learner, self._starts))
+            self._simulation = Simulation(self.body, 1)
+        self._simulation.place(0, *start_state(self.np_random, self.body, self._starts))
         reading = self._simulation.read()
         features = reading.features()
         return observe(reading, features)[0], {"skeletal_features": features[0]}
@@ -59,8 +59,8 @@ class MujocoEnv(SingleEnv):
         actions = action.clip(-1.0, 1.0)[None]
         failed = bool(self._simulation.advance(actions)[0])
         reading = self._simulation.read()
-        reward = rewards(reading, actions, self._learner.standing_head_m, self._speed_m_s)[0]
-        fallen = failed or bool(reading.head_m[0] < self._learner.fall_head_m)
+        reward = rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)[0]
+        fallen = failed or bool(reading.head_m[0] < self.body.fall_head_m)
         features = reading.features()
         info = {"skeletal_features": features[0]}
         return observe(reading, features)[0], 0.0 if failed else float(reward), fallen, info

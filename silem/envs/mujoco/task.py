@@ -14,6 +14,7 @@ import numpy as np
 
 from silem.bodies import MujocoBody
 from silem.motion.features import FEATURES, POINTS, skeletal_features
+from silem.util.errors import SilemError
 
 _UPRIGHT_FROM = 0.9  # cosine of the torso's tilt
 _UPRIGHT_MARGIN = 1.9
@@ -66,6 +67,18 @@ def observation_space(body: MujocoBody) -> gymnasium.spaces.Box:
     n_hinges = body.action_size
     size = n_hinges + len(_OBSERVED) + 3 + 6 + n_hinges
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+
+
+def target_speed(body: MujocoBody, speed_m_s: float | None) -> float:
+    """Return the speed that earns the full reward: the one wanted, or for None the body's.
+
+    Raises:
+        SilemError: If it is not above 0.
+    """
+    speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
+    if not speed_m_s > 0:
+        raise SilemError(f"speed of {speed_m_s} m/s; allowed: above 0")
+    return speed_m_s
 
 
 def observe(reading: Reading, features: np.ndarray) -> np.ndarray:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem.bodies import Body
+from silem.bodies import Body, MujocoBody
 from silem.envs.base import BatchedEnv
 from silem.envs.mujoco.camera import MujocoCamera
 from silem.envs.mujoco.simulator import Simulation, StartStates, body_of, start_state
-from silem.envs.mujoco.task import Reading, observation_space, observe, rewards
+from silem.envs.mujoco.task import Reading, observation_space, observe, rewards, target_speed
 from silem.motion.features import FEATURES
 from silem.util.errors import SilemError
 
@@ -29,6 +29,8 @@ class MujocoVecEnv(BatchedEnv):
         skeletal_features: g(s) of the states that the last step reached, (E, F); where an episode
             ended, the last state's.
     """
+
+    body: MujocoBody
 
     def __init__(
         self,
@@ -57,52 +59,37 @@ class MujocoVecEnv(BatchedEnv):
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self._learner = body_of(body)
-        speed_m_s = self._learner.target_speed_m_s if speed_m_s is None else speed_m_s
-        if n_threads < 1 or speed_m_s <= 0:
-            raise SilemError(f"{n_threads} threads, {speed_m_s} m/s: both must be above 0")
-        self._speed_m_s, self._starts = speed_m_s, starts
+        learner = body_of(body)
+        if n_threads < 1:
+            raise SilemError(f"{n_threads} threads; allowed: whole numbers from 1")
+        self._speed_m_s, self._starts = target_speed(learner, speed_m_s), starts
         self._has_episodes = False
-        space = observation_space(self._learner)
-        super().__init__(self._learner, space, n_envs, seed, max_steps, render_mode)
-        self.simulation = Simulation(self._learner, self.num_envs, min(n_threads, self.num_envs))
+        space = observation_space(learner)
+        super().__init__(learner, space, n_envs, seed, max_steps, render_mode)
+        self.simulation = Simulation(learner, self.num_envs, min(n_threads, self.num_envs))
         self._length = np.zeros(self.num_envs, dtype=int)
         self._return = np.zeros(self.num_envs)
         self._start_xy = np.zeros((self.num_envs, 2))
         self.skeletal_features = np.zeros((self.num_envs, len(FEATURES)), dtype=np.float32)
 
-    def reset(self) -> np.ndarray:
-        """Start a new episode in every environment.
-
-        Returns:
-            (E, O) first observations, float32.
-        """
-        self._take_seed()
+    def _restart(self, is_seeded: bool) -> np.ndarray:
         self._begin(np.arange(self.num_envs))
-        self._actions, self._has_episodes = None, True
+        self._has_episodes = True
         reading = self.simulation.read()
         self.skeletal_features = reading.features()
         self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
         return observe(reading, self.skeletal_features)
 
-    def step_wait(self) -> VecEnvStepReturn:
-        """Step every environment by one control step.
-
-        Returns:
-            Observations (E, O) and rewards (E,), float32, dones (E,) and E infos.
-
-        Raises:
-            SilemError: If the environments were not reset, or there is no action.
-        """
-        actions = self._take_actions().clip(-1.0, 1.0)
+    def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
+        actions = actions.clip(-1.0, 1.0)
         failed = self.simulation.advance(actions)
         reading = self.simulation.read()
-        earned = rewards(reading, actions, self._learner.standing_head_m, self._speed_m_s)
+        earned = rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
         if np.count_nonzero(failed):
             earned[failed] = 0.0
         self._length += 1
         self._return += earned
-        fallen = failed | (reading.head_m < self._learner.fall_head_m)
+        fallen = failed | (reading.head_m < self.body.fall_head_m)
         dones = fallen | (self._length >= self.max_steps)
         ended = dones.nonzero()[0]
         lasts = [self._summary(reading, index) for index in ended.tolist()]
@@ -121,7 +108,7 @@ class MujocoVecEnv(BatchedEnv):
 
     def _summary(self, reading: Reading, index: int) -> dict[str, Any]:
         """Sum up an environment's episode, which ends with its state in a reading."""
-        seconds = self._length[index] * self._learner.control_step_s
+        seconds = self._length[index] * self.body.control_step_s
         way = reading.qpos[index, :2] - self._start_xy[index]
         return {
             "r": float(self._return[index]),
@@ -132,7 +119,7 @@ class MujocoVecEnv(BatchedEnv):
 
     def _begin(self, indices: np.ndarray) -> None:
         """Start an episode in some environments."""
-        states = [start_state(self._generators[i], self._learner, self._starts) for i in indices]
+        states = [start_state(self._generators[i], self.body, self._starts) for i in indices]
         qpos, qvel = map(np.array, zip(*states, strict=True))
         self.simulation.place(indices, qpos, qvel)
         self._length[indices], self._return[indices] = 0, 0.0

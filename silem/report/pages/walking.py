@@ -24,7 +24,6 @@ from silem.report import film, notebook, results, style, tables
 from silem.report.claims import MARGIN
 from silem.report.figures import cells, sources
 from silem.report.figures.sources import COMPARED
-from silem.study.record import POLICY
 
 # ---------------------------------------------------------------- Figure 3b
 
@@ -308,22 +307,21 @@ def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
 
 def show_strip(run_id: str, duration_s: float) -> None:
     """Show a run's policy in equally spaced pictures, a film on paper; of no run, "", say so."""
-    if not run_id or POLICY not in (run := results.find(run_id)).files:
-        notebook.note("No pictures: there is no policy.")
-    elif why := film.why_no_pictures(run.config["body"]):
+    if not run_id:
+        notebook.note("No pictures: there is no run.")
+    elif why := film.why_no_pictures(results.find(run_id).config["body"]):
         notebook.note(f"No pictures: {why}")
     else:
-        (clip,) = film.of_runs({"": run}, duration_s, _SIZE).values()
+        (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
         notebook.show_picture(film.strip(clip, n_frames=6))
 
 
 def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:
-    """Return a cell's run of the highest return among those with a policy, None if none has.
+    """Return a cell's run of the highest return, None without any.
 
     A run of another number of iterations than planned only counts where there is no planned one.
     """
     for runs in (results.cell(frame, method, body), results.stand_ins(frame, method, body)):
-        for _, run in runs.sort_values("return_mean", ascending=False).iterrows():
-            if POLICY in results.find(run["run_id"]).files:
-                return run
+        if len(runs):
+            return runs.loc[runs["return_mean"].idxmax()]
     return None
