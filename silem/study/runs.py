@@ -8,16 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-<<<<<<< HEAD
 
 from silem import bodies
-=======
-import torch
-
-from silem import bodies
-from silem.algorithms import PPO, SILEM, GAIfO
-from silem.algorithms.networks import AffineTransform
->>>>>>> bfec66e919f4eeb9c19221408d6167499cd2a759
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import curve

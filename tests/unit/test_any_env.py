@@ -37,19 +37,11 @@ def test_an_imitator_on_pendulum_is_recorded_and_found_again(data: Path) -> None
     again = run(RunConfig.create("Pendulum-v1", "silem", "swing", **SMALL), False, force=True)
     assert again.evaluation["returns"] == record.evaluation["returns"]  # bit for bit
     assert again.files == record.files
-<<<<<<< HEAD
     policy = load_policy(record)
     assert policy.action_space == spaces.Box(-2.0, 2.0, (1,))  # Pendulum's, not a body's
     assert evaluate(policy, "Pendulum-v1", 2).returns == record.evaluation["returns"]
     verdict = verify.verify(record.folder)
     assert verdict.outcome == verify.EXACT, verdict
-=======
-    verdict = verify.verify(record.folder)
-    assert verdict.outcome == verify.EXACT, verdict
-    policy = load_policy(record)
-    assert policy.action_space == spaces.Box(-2.0, 2.0, (1,))  # Pendulum's, not a body's
-    assert evaluate(policy, "Pendulum-v1", 2).returns == record.evaluation["returns"]
->>>>>>> bfec66e919f4eeb9c19221408d6167499cd2a759
 
 
 def test_random_actions_fit_the_environment(data: Path) -> None:
