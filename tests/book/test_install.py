@@ -143,7 +143,7 @@ def undeclared(area: str, declared: set[str]) -> set[str]:
     tests = [*(REPO / "tests").rglob("*.py"), *(REPO / "benchmarks").rglob("*.py")]
     files = {
         "library": library,
-        "video": [path for path in report if path.stem in ("film", "rendering", "video")],
+        "video": [path for path in report if path.stem == "film"],
         "book": report,
         "test": tests,
     }[area]
