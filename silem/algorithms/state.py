@@ -143,7 +143,7 @@ def load_policy(path: Path | str) -> ActorCriticPolicy:
     """
     arrays, about = files.read_tensors(Path(path))
     try:
-        return _rebuilt(arrays, _OF_A_RUN | about)
+        return _rebuilt(arrays, about if "activation" in about else _OF_A_RUN)
     except (LookupError, ValueError) as error:
         raise SilemError(f"{path} holds no policy: {error}") from error
 
