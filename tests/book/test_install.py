@@ -122,7 +122,16 @@ def test_every_import_is_declared() -> None:
     assert {area: sorted(undeclared(area, declared[area])) for area in declared} == {
         area: [] for area in declared
     }
-    indirect = {"docutils", "ipython", "myst-nb", "nbformat", "pillow", "pyyaml", "sphinx"}
+    indirect = {
+        "docutils",
+        "ipython",
+        "myst-nb",
+        "nbformat",
+        "pillow",
+        "pyyaml",
+        "sphinx",
+        "traitlets",
+    }
     assert declared["test"] - {"silem"} - indirect <= pinned
 
 
