@@ -12,8 +12,7 @@ import numpy as np
 import pybullet
 import pybullet_data
 
-from silem import bodies
-from silem.bodies import Body, BulletBody, measure
+from silem.bodies import BulletBody, measure
 from silem.util.errors import SilemError
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
@@ -27,11 +26,6 @@ _ANY_LINK = -2  # in PyBullet's filter of contacts
 _FIELDS = {"center": 0, "origin": 4}  # of what PyBullet tells of a link
 
 _Numbers: TypeAlias = tuple[float, ...]
-
-
-def body_of(body: Body | str) -> BulletBody:
-    """Return a body, given itself or its name; raises SilemError where PyBullet steps it not."""
-    return bodies.of_kind(body, BulletBody)
 
 
 def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float]:
@@ -112,6 +106,15 @@ class Simulator:
         state = pybullet.getLinkState(self.robot, index, **client)
         return state[4], state[5]
 
+    def qpos(self) -> np.ndarray:
+        """Return the joint positions (nq,) as MuJoCo orders them, the root's place first."""
+        client, at = {"physicsClientId": self.client}, []
+        if not self.body.root_joints:
+            position, (*axis, w) = self.place(self.body.root)
+            at = [*position, w, *axis]
+        states = pybullet.getJointStates(self.robot, self._movable, **client)
+        return np.array(at + [state[0] for state in states])
+
     def close(self) -> None:
         """Disconnect the client; closing twice is allowed."""
         self._finalizer()
@@ -145,6 +148,8 @@ class Simulator:
         joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
         self._links = measure.link_names(self.robot, self.client)
         self.joints = [joint_index[motor.joint] for motor in self.body.motors]
+        movable = (*self.body.root_joints, *(motor.joint for motor in self.body.motors))
+        self._movable = [joint_index[name] for name in movable]
         self.limits = [infos[joint][8:10] for joint in self.joints]
         for joint in range(len(infos)):
             self._free(joint)

@@ -1,1 +1,200 @@
-"""Bodies that MuJoCo steps."""
+"""Humanoids that learn to walk: E behind one stable-baselines3 VecEnv, or one by itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from silem.bodies import Body, MujocoBody
+from silem.envs.base import BatchedEnv, Filmed, SingleEnv
+from silem.envs.mujoco.simulator import Simulation, StartStates, start_state
+from silem.envs.mujoco.task import Reading, observation_space, observe, rewards, target_speed
+from silem.util.errors import SilemError
+
+
+class _Walker(Filmed):
+    """What both have: states that start somewhere, are stepped, and earn by their speed."""
+
+    body: MujocoBody
+    _kind = MujocoBody
+    _space = staticmethod(observation_space)
+    _speed_m_s: float
+    _starts: StartStates | None
+
+    def _move(
+        self, simulation: Simulation, actions: np.ndarray
+    ) -> tuple[Reading, np.ndarray, np.ndarray]:
+        """Step by actions (E, A); return what is read, what is earned (E,), and who fell (E,)."""
+        actions = actions.clip(-1.0, 1.0)
+        failed = simulation.advance(actions)
+        reading = simulation.read()
+        earned = rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
+        if np.count_nonzero(failed):
+            earned[failed] = 0.0
+        return reading, earned, failed | (reading.head_m < self.body.fall_head_m)
+
+
+class MujocoEnv(_Walker, SingleEnv):
+    """One humanoid that learns to walk; the simulation is built by the first `reset`."""
+
+    _simulation: Simulation | None = None
+
+    def __init__(
+        self,
+        body: Body | str,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        *,
+        speed_m_s: float | None = None,
+        starts: StartStates | None = None,
+    ) -> None:
+        """Make the environment: see `SingleEnv` for what is not said here.
+
+        Args:
+            body: A body or its name.
+            render_mode: "rgb_array" or None.
+            width: Of the pictures, in pixels.
+            height: Of the pictures, in pixels.
+            speed_m_s: Speed that earns the full reward; None means the body's.
+            starts: States that episodes start from; None means the standing pose, small noise.
+
+        Raises:
+            SilemError: If an argument is not allowed.
+        """
+        super().__init__(body, render_mode, width, height)
+        self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
+
+    def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
+        if self._simulation is None:
+            self._simulation = Simulation(self.body, 1)
+        self._simulation.place(0, *start_state(self.np_random, self.body, self._starts))
+        reading = self._simulation.read()
+        features = reading.features()
+        return observe(reading, features)[0], {"skeletal_features": features[0]}
+
+    def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
+        assert self._simulation is not None
+        reading, earned, fallen = self._move(self._simulation, action[None])
+        features = reading.features()
+        info = {"skeletal_features": features[0]}
+        return observe(reading, features)[0], float(earned[0]), bool(fallen[0]), info
+
+    def _is_reset(self) -> bool:
+        return self._simulation is not None
+
+    def _qpos(self) -> np.ndarray:
+        assert self._simulation is not None
+        return self._simulation.qpos[0]
+
+    def close(self) -> None:
+        """Give back simulation and camera; closing twice is allowed."""
+        super().close()
+        self._simulation = None
+
+
+class MujocoVecEnv(_Walker, BatchedEnv):
+    """E humanoids with the same body that learn to walk.
+
+    Skeletal features g(s) (F,) are in the infos of `reset` and `step` under "skeletal_features".
+    An episode ends when the head is below the body's `fall_head_m`. `speed_m_s` of an episode is
+    the straight distance covered over the time it took; `upright` is the share of `max_steps`
+    that passed before a fall.
+
+    Attributes:
+        simulation: The E states.
+        skeletal_features: g(s) of the states that the last step reached, (E, F); where an episode
+            ended, the last state's.
+    """
+
+    skeletal_features: np.ndarray | None = None
+
+    def __init__(
+        self,
+        body: Body | str,
+        n_envs: int = 4,
+        seed: int = 0,
+        max_steps: int | None = None,
+        render_mode: str | None = "rgb_array",
+        *,
+        n_threads: int = 1,
+        speed_m_s: float | None = None,
+        starts: StartStates | None = None,
+    ) -> None:
+        """Make the environments: see `BatchedEnv` for what is not said here.
+
+        Args:
+            body: A body or its name.
+            n_envs: E, at least 1.
+            seed: Root of all environments' random streams.
+            max_steps: Steps after which an episode is cut off; None means the body's.
+            render_mode: "rgb_array" or None.
+            n_threads: Threads that step the simulations; results do not depend on it.
+            speed_m_s: Speed that earns the full reward; None means the body's.
+            starts: States that episodes start from; None means the standing pose, small noise.
+
+        Raises:
+            SilemError: If an argument is not allowed.
+        """
+        if n_threads < 1:
+            raise SilemError(f"{n_threads} threads; allowed: whole numbers from 1")
+        super().__init__(body, n_envs, seed, max_steps, render_mode)
+        self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
+        self.simulation = Simulation(self.body, self.num_envs, min(n_threads, self.num_envs))
+        self._length = np.zeros(self.num_envs, dtype=int)
+        self._return = np.zeros(self.num_envs)
+        self._start_xy = np.zeros((self.num_envs, 2))
+
+    def _restart(self, is_seeded: bool) -> np.ndarray:
+        self._begin(np.arange(self.num_envs))
+        reading = self.simulation.read()
+        self.skeletal_features = reading.features()
+        self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
+        return observe(reading, self.skeletal_features)
+
+    def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
+        reading, earned, fallen = self._move(self.simulation, actions)
+        self._length += 1
+        self._return += earned
+        dones = fallen | (self._length >= self.max_steps)
+        ended = dones.nonzero()[0]
+        lasts = [self._summary(reading, index) for index in ended.tolist()]
+        if lasts:  # ended states and their successors in one go: what counts are NumPy's calls
+            self._begin(ended)
+            reading = reading.joined(self.simulation.read(ended))
+        features = reading.features()
+        observations = observe(reading, features)
+        self.skeletal_features, begun = features[: self.num_envs], features[self.num_envs :]
+        infos = [{"skeletal_features": row} for row in self.skeletal_features]
+        for index, last, row in zip(ended.tolist(), lasts, begun, strict=True):
+            infos[index] |= self._last_info(observations[index].copy(), bool(fallen[index]), last)
+            self.reset_infos[index] = {"skeletal_features": row}
+        observations[ended] = observations[self.num_envs :]
+        return observations[: self.num_envs], earned.astype(np.float32), dones, infos
+
+    def _summary(self, reading: Reading, index: int) -> dict[str, Any]:
+        """Sum up an environment's episode, which ends with its state in a reading."""
+        seconds = self._length[index] * self.body.control_step_s
+        way = reading.qpos[index, :2] - self._start_xy[index]
+        return {
+            "r": float(self._return[index]),
+            "l": int(self._length[index]),
+            "speed_m_s": float(np.hypot(*way) / seconds),
+            "upright": float(self._length[index] / self.max_steps),
+        }
+
+    def _begin(self, indices: np.ndarray) -> None:
+        """Start an episode in some environments."""
+        states = [start_state(self._generators[i], self.body, self._starts) for i in indices]
+        qpos, qvel = map(np.array, zip(*states, strict=True))
+        self.simulation.place(indices, qpos, qvel)
+        self._length[indices], self._return[indices] = 0, 0.0
+        self._start_xy[indices] = qpos[:, :2]
+
+    def _is_reset(self) -> bool:
+        return self.skeletal_features is not None
+
+    def _qpos(self) -> np.ndarray:
+        return self.simulation.qpos[0]
