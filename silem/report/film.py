@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
+from matplotlib.axes import Axes
 from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
@@ -31,6 +32,7 @@ from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrator
+from silem.report import style
 from silem.study.evaluate import Policy, random_policy
 from silem.study.policies import load_policy
 from silem.study.record import RunRecord
@@ -200,6 +202,16 @@ def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> n
         raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
     with closing(Camera(found, *size, span_m)) as camera:
         return camera.picture()
+
+
+def portrait(axes: Axes, body: Body | str, size: Size, span_m: float | None = None) -> None:
+    """Show a body at rest (see `still`), or say that nothing can be drawn here."""
+    try:
+        style.picture(axes, still(body, size, span_m))
+    except SilemError:
+        style.picture(axes, np.full((*size[::-1], 3), 255, np.uint8))
+        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
 def why_no_pictures(body: str) -> str:
