@@ -57,6 +57,7 @@ class Filmed:
     picture_size: tuple[int, int] = (640, 480)
     _kind: type[Body]
     _space: Callable[[Any], gymnasium.spaces.Box]  # of a body's observations
+    _is_reset: bool = False  # whether there is an episode to go on with
     _camera: Camera | None = None
 
     def _set_up(
@@ -72,17 +73,13 @@ class Filmed:
         actions = gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
         return self._space(self.body), actions
 
-    def _is_reset(self) -> bool:
-        """Tell whether there is an episode to go on with."""
-        raise NotImplementedError
-
     def _qpos(self) -> np.ndarray:
         """Return the joint positions (nq,) of the body, or of the first of several."""
         raise NotImplementedError
 
     def _picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8; raises SilemError where there can be none."""
-        if not self._is_reset():
+        if not self._is_reset:
             raise SilemError("render before reset")
         if self._camera is None:
             self._camera = Camera(self.body, *self.picture_size)
@@ -90,6 +87,7 @@ class Filmed:
 
     def close(self) -> None:
         """Give back the camera; closing twice is allowed."""
+        self._is_reset = False
         if self._camera is not None:
             self._camera.close()
             self._camera = None
@@ -134,7 +132,9 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             The first observation (O,), float32, and the body's info (see `step`).
         """
         super().reset(seed=seed)
-        return self._begin()
+        begun = self._begin()
+        self._is_reset = True
+        return begun
 
     def step(
         self, action: np.ndarray
@@ -152,7 +152,7 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             SilemError: If the action has another shape or is not finite, or before `reset`.
         """
         checked = check_actions(action, (self.body.action_size,))
-        if not self._is_reset():
+        if not self._is_reset:
             raise SilemError("step before reset")
         observation, reward, fallen, info = self._advance(checked)
         return observation, reward, fallen, False, info
@@ -253,7 +253,9 @@ class BatchedEnv(Filmed, VecEnv):
         if is_seeded:
             self._generators, self._next_generators = self._next_generators, []
         self._actions = None
-        return self._restart(is_seeded)
+        observations = self._restart(is_seeded)
+        self._is_reset = True
+        return observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
@@ -272,7 +274,7 @@ class BatchedEnv(Filmed, VecEnv):
         Raises:
             SilemError: If the environments were not reset, or there is no action.
         """
-        if self._actions is None or not self._is_reset():
+        if self._actions is None or not self._is_reset:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
         return self._advance(actions)

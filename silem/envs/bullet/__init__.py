@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,45 +16,51 @@ from silem.envs.bullet.task import LocomotionTask, as_observations, observation_
 
 
 class _Runner(Filmed):
-    """What both have: a body of PyBullet's."""
+    """What both have: clients with a body in each, and its task.
+
+    Attributes:
+        simulators: The clients; none before the first `reset` and after `close`.
+    """
 
     body: BulletBody
+    simulators: Sequence[Simulator] = ()
     _kind = BulletBody
     _space = staticmethod(observation_space)
+
+    def _build(self, n: int, max_steps: float = math.inf) -> None:
+        self.simulators = [Simulator(self.body) for _ in range(n)]
+        limits = self.simulators[0].limits
+        self._tasks = [LocomotionTask(self.body, limits, max_steps) for _ in range(n)]
+
+    def _start(self, generator: np.random.Generator, index: int = 0) -> np.ndarray:
+        """Start an episode and return its first observation (O,)."""
+        state = self.simulators[index].reset(start_angles(generator, self.body))
+        return as_observations(self._tasks[index].begin(state))
+
+    def _qpos(self) -> np.ndarray:
+        return self.simulators[0].qpos()
+
+    def close(self) -> None:
+        """Disconnect all clients; closing twice is allowed."""
+        super().close()
+        for simulator in self.simulators:
+            simulator.close()
+        self.simulators = ()
 
 
 class BulletEnv(_Runner, SingleEnv):
     """One body on its track; the simulator is built by the first `reset`."""
 
-    _simulator: Simulator | None = None
-
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
-        if self._simulator is None:
-            self._simulator = Simulator(self.body)
-            self._task = LocomotionTask(self.body, self._simulator.limits)
-        state = self._simulator.reset(start_angles(self.np_random, self.body))
-        return as_observations(self._task.begin(state)), {}
+        if not self.simulators:
+            self._build(1)
+        return self._start(self.np_random), {}
 
     def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
-        assert self._simulator is not None
-        row = action.tolist()
-        self._simulator.advance(row)
-        observation, reward, fallen = self._task.step(row, self._simulator.read())
+        row, simulator = action.tolist(), self.simulators[0]
+        simulator.advance(row)
+        observation, reward, fallen = self._tasks[0].step(row, simulator.read())
         return as_observations(observation), reward, fallen, {}
-
-    def _is_reset(self) -> bool:
-        return self._simulator is not None
-
-    def _qpos(self) -> np.ndarray:
-        assert self._simulator is not None
-        return self._simulator.qpos()
-
-    def close(self) -> None:
-        """Disconnect the simulator; closing twice is allowed."""
-        super().close()
-        if self._simulator is not None:
-            self._simulator.close()
-        self._simulator = None
 
 
 class BulletVecEnv(_Runner, BatchedEnv):
@@ -60,22 +68,14 @@ class BulletVecEnv(_Runner, BatchedEnv):
 
     `speed_m_s` of an episode is the torso's mean forward speed. A `reset()` after `seed(s)` builds
     all clients afresh.
-
-    Attributes:
-        simulators: The E simulators; empty before the first `reset` and after `close`.
     """
-
-    simulators: list[Simulator] = []  # noqa: RUF012  replaced, never changed
 
     def _restart(self, is_seeded: bool) -> np.ndarray:
         if is_seeded or not self.simulators:
             self.close()
-            self.simulators = [Simulator(self.body) for _ in range(self.num_envs)]
-            self._tasks = [
-                LocomotionTask(self.body, sim.limits, self.max_steps) for sim in self.simulators
-            ]
+            self._build(self.num_envs, self.max_steps)
         self.reset_infos = [{} for _ in range(self.num_envs)]
-        return np.stack([self._begin(index) for index in range(self.num_envs)])
+        return np.stack([self._start(g, index) for index, g in enumerate(self._generators)])
 
     def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
         rows = actions.tolist()
@@ -92,23 +92,5 @@ class BulletVecEnv(_Runner, BatchedEnv):
             for index in np.flatnonzero(dones).tolist():
                 task, last = self._tasks[index], observations[index].copy()
                 infos[index] = self._last_info(last, task.terminated, task.summary())
-                observations[index] = self._begin(index)
+                observations[index] = self._start(self._generators[index], index)
         return observations, np.array(rewards, dtype=np.float32), np.array(dones), infos
-
-    def _begin(self, index: int) -> np.ndarray:
-        """Start an episode of one environment and return its first observation (O,)."""
-        angles = start_angles(self._generators[index], self.body)
-        return as_observations(self._tasks[index].begin(self.simulators[index].reset(angles)))
-
-    def _is_reset(self) -> bool:
-        return bool(self.simulators)
-
-    def _qpos(self) -> np.ndarray:
-        return self.simulators[0].qpos()
-
-    def close(self) -> None:
-        """Disconnect all clients; closing twice is allowed."""
-        super().close()
-        for simulator in self.simulators:
-            simulator.close()
-        self.simulators = []

@@ -15,21 +15,31 @@ from silem.util.errors import SilemError
 
 
 class _Walker(Filmed):
-    """What both have: states that start somewhere, are stepped, and earn by their speed."""
+    """What both have: states that start somewhere, are stepped, and earn by their speed.
+
+    Attributes:
+        simulation: The states.
+    """
 
     body: MujocoBody
+    simulation: Simulation
     _kind = MujocoBody
     _space = staticmethod(observation_space)
-    _speed_m_s: float
-    _starts: StartStates | None
 
-    def _move(
-        self, simulation: Simulation, actions: np.ndarray
-    ) -> tuple[Reading, np.ndarray, np.ndarray]:
+    def _build(
+        self, n: int, speed_m_s: float | None, starts: StartStates | None, n_threads: int = 1
+    ) -> None:
+        self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
+        self.simulation = Simulation(self.body, n, min(n, n_threads))
+
+    def _qpos(self) -> np.ndarray:
+        return self.simulation.qpos[0]
+
+    def _move(self, actions: np.ndarray) -> tuple[Reading, np.ndarray, np.ndarray]:
         """Step by actions (E, A); return what is read, what is earned (E,), and who fell (E,)."""
         actions = actions.clip(-1.0, 1.0)
-        failed = simulation.advance(actions)
-        reading = simulation.read()
+        failed = self.simulation.advance(actions)
+        reading = self.simulation.read()
         earned = rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
         if np.count_nonzero(failed):
             earned[failed] = 0.0
@@ -37,9 +47,7 @@ class _Walker(Filmed):
 
 
 class MujocoEnv(_Walker, SingleEnv):
-    """One humanoid that learns to walk; the simulation is built by the first `reset`."""
-
-    _simulation: Simulation | None = None
+    """One humanoid that learns to walk."""
 
     def __init__(
         self,
@@ -51,7 +59,7 @@ class MujocoEnv(_Walker, SingleEnv):
         speed_m_s: float | None = None,
         starts: StartStates | None = None,
     ) -> None:
-        """Make the environment: see `SingleEnv` for what is not said here.
+        """Make the environment; the first four arguments are `SingleEnv`'s.
 
         Args:
             body: A body or its name.
@@ -65,34 +73,19 @@ class MujocoEnv(_Walker, SingleEnv):
             SilemError: If an argument is not allowed.
         """
         super().__init__(body, render_mode, width, height)
-        self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
+        self._build(1, speed_m_s, starts)
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
-        if self._simulation is None:
-            self._simulation = Simulation(self.body, 1)
-        self._simulation.place(0, *start_state(self.np_random, self.body, self._starts))
-        reading = self._simulation.read()
+        self.simulation.place(0, *start_state(self.np_random, self.body, self._starts))
+        reading = self.simulation.read()
         features = reading.features()
         return observe(reading, features)[0], {"skeletal_features": features[0]}
 
     def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
-        assert self._simulation is not None
-        reading, earned, fallen = self._move(self._simulation, action[None])
+        reading, earned, fallen = self._move(action[None])
         features = reading.features()
         info = {"skeletal_features": features[0]}
         return observe(reading, features)[0], float(earned[0]), bool(fallen[0]), info
-
-    def _is_reset(self) -> bool:
-        return self._simulation is not None
-
-    def _qpos(self) -> np.ndarray:
-        assert self._simulation is not None
-        return self._simulation.qpos[0]
-
-    def close(self) -> None:
-        """Give back simulation and camera; closing twice is allowed."""
-        super().close()
-        self._simulation = None
 
 
 class MujocoVecEnv(_Walker, BatchedEnv):
@@ -104,12 +97,9 @@ class MujocoVecEnv(_Walker, BatchedEnv):
     that passed before a fall.
 
     Attributes:
-        simulation: The E states.
         skeletal_features: g(s) of the states that the last step reached, (E, F); where an episode
             ended, the last state's.
     """
-
-    skeletal_features: np.ndarray | None = None
 
     def __init__(
         self,
@@ -123,7 +113,7 @@ class MujocoVecEnv(_Walker, BatchedEnv):
         speed_m_s: float | None = None,
         starts: StartStates | None = None,
     ) -> None:
-        """Make the environments: see `BatchedEnv` for what is not said here.
+        """Make the environments; the first five arguments are `BatchedEnv`'s.
 
         Args:
             body: A body or its name.
@@ -141,8 +131,7 @@ class MujocoVecEnv(_Walker, BatchedEnv):
         if n_threads < 1:
             raise SilemError(f"{n_threads} threads; allowed: whole numbers from 1")
         super().__init__(body, n_envs, seed, max_steps, render_mode)
-        self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
-        self.simulation = Simulation(self.body, self.num_envs, min(n_threads, self.num_envs))
+        self._build(self.num_envs, speed_m_s, starts, n_threads)
         self._length = np.zeros(self.num_envs, dtype=int)
         self._return = np.zeros(self.num_envs)
         self._start_xy = np.zeros((self.num_envs, 2))
@@ -155,7 +144,7 @@ class MujocoVecEnv(_Walker, BatchedEnv):
         return observe(reading, self.skeletal_features)
 
     def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
-        reading, earned, fallen = self._move(self.simulation, actions)
+        reading, earned, fallen = self._move(actions)
         self._length += 1
         self._return += earned
         dones = fallen | (self._length >= self.max_steps)
@@ -192,9 +181,3 @@ class MujocoVecEnv(_Walker, BatchedEnv):
         self.simulation.place(indices, qpos, qvel)
         self._length[indices], self._return[indices] = 0, 0.0
         self._start_xy[indices] = qpos[:, :2]
-
-    def _is_reset(self) -> bool:
-        return self.skeletal_features is not None
-
-    def _qpos(self) -> np.ndarray:
-        return self.simulation.qpos[0]
