@@ -27,18 +27,23 @@ _ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def describe(body: Body) -> dict[str, Any]:
-    """Return what `silem.bodies.describe` does."""
+    """Return what `silem.bodies.describe` does.
+
+    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
+    they are read from a loaded body.
+    """
     model = spec(body).compile()
-    measured = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(model)
+    masses, joints = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(model)
+    masses = {name: mass for name, mass in masses.items() if mass > 0}
     return {
         "name": body.name,
         "family": body.family,
         "description": body.description,
         "lengths_m": _lengths_m(model),
-        "masses_kg": measured["masses_kg"],
-        "total_mass_kg": sum(measured["masses_kg"].values()),
-        "joints": measured["joints"],
-        "root_joints": body.root_joints if isinstance(body, BulletBody) else (),
+        "masses_kg": masses,
+        "total_mass_kg": sum(masses.values()),
+        "joints": joints,
+        "root_joints": getattr(body, "root_joints", ()),
         "actuators": {motor.joint: motor.torque_n_m for motor in body.motors},
     }
 
@@ -75,7 +80,10 @@ def _lengths_m(model: mujoco.MjModel) -> dict[str, float]:
     return lengths
 
 
-def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
+_Measured = tuple[dict[str, float], dict[str, tuple[float, float] | None]]  # masses, limits
+
+
+def _in_bullet(body: BulletBody) -> _Measured:
     client = pybullet.connect(pybullet.DIRECT)
     try:
         robot = load(body, client)
@@ -83,27 +91,21 @@ def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
             name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
             for name, link in link_names(robot, client).items()
         }
-        limits = {info[1].decode(): (info[8], info[9]) for info in joint_infos(robot, client)}
+        limits = {info[1].decode(): info[8:10] for info in joint_infos(robot, client)}
     finally:
         pybullet.disconnect(physicsClientId=client)
     actuated = {motor.joint for motor in body.motors}
-    return {
-        "masses_kg": {name: mass for name, mass in masses.items() if mass > 0},
-        "joints": {name: limit for name, limit in limits.items() if name in actuated},
-    }
+    return masses, {name: limit for name, limit in limits.items() if name in actuated}
 
 
-def _in_mujoco(model: mujoco.MjModel) -> dict[str, dict[str, Any]]:
-    links = [model.body(index) for index in range(1, model.nbody)]
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+def _in_mujoco(model: mujoco.MjModel) -> _Measured:
     limits = {
         model.joint(index).name: tuple(model.jnt_range[index].tolist())
         if model.jnt_limited[index]
         else None
-        for index in hinges
+        for index in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
     }
-    masses = {link.name: float(link.mass[0]) for link in links if link.mass[0] > 0}
-    return {"masses_kg": masses, "joints": limits}
+    return {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}, limits
 
 
 def load(body: BulletBody, client: int) -> int:

@@ -35,15 +35,9 @@ _MODULES = {
 _NAMES = {"bullet": "Bullet", "mujoco": "Mujoco"}  # of their classes, Env and VecEnv
 
 __all__ = [
-    "BatchedEnv",
-    "BulletEnv",
-    "BulletVecEnv",
-    "Camera",
-    "MujocoEnv",
-    "MujocoVecEnv",
-    "SingleEnv",
+    "BatchedEnv", "BulletEnv", "BulletVecEnv", "Camera", "MujocoEnv", "MujocoVecEnv", "SingleEnv",
     "make_vec",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -95,10 +95,6 @@ class MujocoVecEnv(_Walker, BatchedEnv):
     An episode ends when the head is below the body's `fall_head_m`. `speed_m_s` of an episode is
     the straight distance covered over the time it took; `upright` is the share of `max_steps`
     that passed before a fall.
-
-    Attributes:
-        skeletal_features: g(s) of the states that the last step reached, (E, F); where an episode
-            ended, the last state's.
     """
 
     def __init__(
@@ -139,9 +135,9 @@ class MujocoVecEnv(_Walker, BatchedEnv):
     def _restart(self, is_seeded: bool) -> np.ndarray:
         self._begin(np.arange(self.num_envs))
         reading = self.simulation.read()
-        self.skeletal_features = reading.features()
-        self.reset_infos = [{"skeletal_features": row} for row in self.skeletal_features]
-        return observe(reading, self.skeletal_features)
+        features = reading.features()
+        self.reset_infos = [{"skeletal_features": row} for row in features]
+        return observe(reading, features)
 
     def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
         reading, earned, fallen = self._move(actions)
@@ -155,9 +151,8 @@ class MujocoVecEnv(_Walker, BatchedEnv):
             reading = reading.joined(self.simulation.read(ended))
         features = reading.features()
         observations = observe(reading, features)
-        self.skeletal_features, begun = features[: self.num_envs], features[self.num_envs :]
-        infos = [{"skeletal_features": row} for row in self.skeletal_features]
-        for index, last, row in zip(ended.tolist(), lasts, begun, strict=True):
+        infos = [{"skeletal_features": row} for row in features[: self.num_envs]]
+        for index, last, row in zip(ended.tolist(), lasts, features[self.num_envs :], strict=True):
             infos[index] |= self._last_info(observations[index].copy(), bool(fallen[index]), last)
             self.reset_infos[index] = {"skeletal_features": row}
         observations[ended] = observations[self.num_envs :]
