@@ -43,8 +43,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from silem.bodies.body import Motor, MujocoBody, Skeleton
-from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common
+from silem.bodies.body import MujocoBody, Skeleton
+from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common, placed
 from silem.util.errors import SilemError
 
 _SIDED = {"shoulder": "scap", "elbow": "larm", "hand": "hand"}
@@ -113,22 +113,19 @@ def body(ankle_range_rad: float = 0.1) -> MujocoBody:
         )
     compiled = robot(ankle_range_rad).compile()
     pose = _standing_pose(compiled, ankle_range_rad)
-    head_m = float(_place(compiled, pose).body(SKELETON.head).xpos[2])
+    head_m = float(placed(compiled, pose).body(SKELETON.head).xpos[2])
     standing_head_m = round(head_m * STANDING_HEAD_M / _HUMANOID_HEAD_M, 3)
     return MujocoBody(
         name="Atlas",
         description=f"Atlas v4 of Boston Dynamics, ankles within +-{ankle_range_rad:g} rad",
         build=functools.partial(model, float(ankle_range_rad)),
-        motors=tuple(Motor(name, float(compiled.actuator(name).gear[0])) for name in hinges()),
-        length=("length of the right arm", _arm_length_m(compiled)),
         varied=(),
-        skeleton=SKELETON,
         standing_pose=tuple(pose.tolist()),
         standing_head_m=standing_head_m,
         fall_head_m=round(head_m * FALL_HEAD_M / _HUMANOID_HEAD_M, 3),
         parameters={"ankle_range_rad": ankle_range_rad},
         variants=body,
-        **common(standing_head_m),
+        **common(compiled, SKELETON, standing_head_m),
     )
 
 
@@ -146,34 +143,15 @@ def _standing_pose(compiled: mujoco.MjModel, ankle_range_rad: float) -> np.ndarr
     for name, angle in angles.items():
         pose[compiled.joint(name).qposadr[0]] = angle
     sole = max(constants()["links"]["l_foot"]["collision"], key=_volume_m3)
-    ankle_height_m = _place(compiled, pose).body(SKELETON.left_foot).xpos[2]
+    ankle_height_m = placed(compiled, pose).body(SKELETON.left_foot).xpos[2]
     pose[2] += sole["size"][2] / 2 - sole["xyz_m"][2] - ankle_height_m
     return pose
-
-
-def _place(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    data = mujoco.MjData(compiled)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(compiled, data)
-    return data
-
-
-def _arm_length_m(compiled: mujoco.MjModel) -> float:
-    data = _place(compiled, compiled.qpos0)
-    arm = (SKELETON.right_shoulder, SKELETON.right_elbow, SKELETON.right_hand)
-    points = [data.body(link).xpos for link in arm]
-    return round(float(sum(np.linalg.norm(b - a) for a, b in itertools.pairwise(points))), 6)
 
 
 @functools.cache
 def constants() -> dict[str, Any]:
     """Return the published constants: `links` and `joints`, each by name."""
     return json.loads(_SOURCE.read_text(encoding="utf-8"))
-
-
-def hinges() -> list[str]:
-    """Return the names of the 28 hinges, in the model's order."""
-    return [name for name, joint in _walk(_ROOT) if not name.endswith(_WELDED)]
 
 
 def model(ankle_range_rad: float) -> str:
@@ -194,7 +172,7 @@ def robot(ankle_range_rad: float) -> mujoco.MjSpec:
     pelvis = spec.worldbody.add_body(name=_ROOT)
     pelvis.add_freejoint(name="root")
     _fill(pelvis, _ROOT, ankle_range_rad)
-    for name in hinges():
+    for name in (joint.name for joint in spec.joints[1:]):
         spec.add_actuator(
             name=name,
             target=name,
@@ -205,15 +183,6 @@ def robot(ankle_range_rad: float) -> mujoco.MjSpec:
     for left, right in itertools.product(_CORES, repeat=2):
         spec.add_pair(geomname1=f"l_{left}_core", geomname2=f"r_{right}_core", condim=1)
     return spec
-
-
-def _walk(parent: str) -> list[tuple[str, Link]]:
-    """Return the joints below a link, depth first: the order in which the model lists them."""
-    found = []
-    for name, joint in constants()["joints"].items():
-        if joint["parent"] == parent:
-            found += [(name, joint), *_walk(joint["child"])]
-    return found
 
 
 def _fill(body: mujoco.MjsBody, name: str, ankle_range_rad: float) -> None:
@@ -283,19 +252,19 @@ def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
 
 def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float]]:
     """Return MuJoCo's type and sizes of a published shape."""
+    kind = mujoco.mjtGeom
     if shape["shape"] == "box":
-        return mujoco.mjtGeom.mjGEOM_BOX, [side / 2 for side in shape["size"]]
+        return kind.mjGEOM_BOX, [side / 2 for side in shape["size"]]
     if shape["shape"] == "cylinder":
-        return mujoco.mjtGeom.mjGEOM_CYLINDER, [shape["radius"], shape["length"] / 2, 0]
-    return mujoco.mjtGeom.mjGEOM_SPHERE, [shape["radius"], 0, 0]
+        return kind.mjGEOM_CYLINDER, [shape["radius"], shape["length"] / 2, 0]
+    return kind.mjGEOM_SPHERE, [shape["radius"], 0, 0]
 
 
 def _volume_m3(shape: Link) -> float:
     if shape["shape"] == "box":
         return math.prod(shape["size"])
-    if shape["shape"] == "cylinder":
-        return math.pi * shape["radius"] ** 2 * shape["length"]
-    return 4 / 3 * math.pi * shape["radius"] ** 3
+    disc = math.pi * shape["radius"] ** 2
+    return disc * (shape["length"] if shape["shape"] == "cylinder" else 4 / 3 * shape["radius"])
 
 
 def _quaternion(rpy_rad: list[float]) -> np.ndarray:

@@ -10,13 +10,16 @@ import math
 import xml.etree.ElementTree as ElementTree
 from functools import partial
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View
 from silem.bodies.mjcf import numbers
 from silem.util.errors import SilemError
+
+if TYPE_CHECKING:
+    import mujoco
 
 FAMILY = "humanoid"
 ENGINE: Engine = "mujoco"
@@ -68,62 +71,60 @@ def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
 
 
 def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
-    """Return the registry entry of a humanoid.
+    """Return the registry entry of a humanoid, with factors on its "left" and "right" arm."""
+    import mujoco
 
-    Args:
-        name: Name of the body.
-        description: One sentence about it.
-        arms: Factor on the length of its "left" and its "right" arm.
-    """
     build = partial(model, arms["left"], arms["right"])
+    compiled = mujoco.MjModel.from_xml_string(build())
     scaled = [side for side, factor in arms.items() if factor != 1.0]
+    pose = compiled.qpos0.copy()
+    data = placed(compiled, pose)
+    feet = [compiled.body(index).name.endswith("_foot") for index in compiled.geom_bodyid]
+    radius, half_length = compiled.geom_size[feet, :2].T
+    lowest = data.geom_xpos[feet, 2] - abs(data.geom_xmat[feet, 8]) * half_length - radius
+    pose[2] -= lowest.min()  # of the feet's capsules
     return MujocoBody(
         name=name,
         description=description,
         build=build,
         varied=tuple(f"{side}_{link}" for side in scaled for link in _ARM_LINKS),
-        skeleton=SKELETON,
+        standing_pose=tuple(pose.tolist()),
         standing_head_m=STANDING_HEAD_M,
         fall_head_m=FALL_HEAD_M,
-        **common(STANDING_HEAD_M),
-        **_measured(build()),
+        **common(compiled, SKELETON, STANDING_HEAD_M),
     )
 
 
-def common(standing_head_m: float) -> dict[str, Any]:
-    """Return what all humanoids share: family, target of their task, and how they are seen."""
+def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    """Return a model's data in a pose."""
+    import mujoco
+
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(compiled, data)
+    return data
+
+
+def common(compiled: mujoco.MjModel, skeleton: Skeleton, standing_head_m: float) -> dict[str, Any]:
+    """Return what is the same for all humanoids, or found in the same way in their models."""
     across = math.cos(_ELEVATION_RAD)
     direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))
+    joints = [compiled.joint(index).name for index in compiled.actuator_trnid[:, 0]]
+    data = placed(compiled, compiled.qpos0)
+    arm = (skeleton.right_shoulder, skeleton.right_elbow, skeleton.right_hand)
+    points = [data.body(link).xpos for link in arm]
+    length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
     return {
         "family": FAMILY,
+        "motors": tuple(map(Motor, joints, compiled.actuator_gear[:, 0].tolist())),
+        "length": ("length of the right arm", round(length_m, 6)),
+        "skeleton": skeleton,
         "target_speed_m_s": DEMONSTRATOR_SPEED_M_S,
         "view": View(
             direction=(*direction, math.sin(_ELEVATION_RAD)),
             look_at_m=0.55 * standing_head_m,
             span_m=4.2 * math.tan(math.pi / 8) * standing_head_m,  # from 2.1 of its heights
         ),
-    }
-
-
-def _measured(xml: str) -> dict[str, Any]:
-    """Read off the compiled model what its registry entry needs."""
-    import mujoco
-
-    compiled = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(compiled)
-    mujoco.mj_kinematics(compiled, data)
-    joints = [compiled.joint(index).name for index in compiled.actuator_trnid[:, 0]]
-    feet = [compiled.body(index).name.endswith("_foot") for index in compiled.geom_bodyid]
-    radius, half_length = compiled.geom_size[feet, :2].T
-    lowest = data.geom_xpos[feet, 2] - abs(data.geom_xmat[feet, 8]) * half_length - radius
-    pose = compiled.qpos0.copy()
-    pose[2] -= lowest.min()  # of the feet's capsules
-    arm = [data.body(f"right_{link}").xpos for link in _ARM_LINKS]
-    length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(arm))
-    return {
-        "motors": tuple(map(Motor, joints, compiled.actuator_gear[:, 0].tolist())),
-        "length": ("length of the right arm", round(length_m, 6)),
-        "standing_pose": tuple(pose.tolist()),
     }
 
 

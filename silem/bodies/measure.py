@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -114,11 +111,15 @@ def load(body: BulletBody, client: int) -> int:
     Raises:
         SilemError: If PyBullet rejects the model.
     """
-    with _model_file(body) as path:
-        try:
-            (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)
-        except (pybullet.error, ValueError) as error:
-            raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
+    try:  # a file is the only form in which PyBullet loads it
+        with tempfile.TemporaryDirectory(prefix="silem_") as folder:
+            path = Path(folder) / f"{body.name}.xml"
+            path.write_bytes(body.model_xml().encode())
+            (robot,) = pybullet.loadMJCF(str(path), flags=_FLAGS, physicsClientId=client)
+    except OSError as error:
+        raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
+    except (pybullet.error, ValueError) as error:
+        raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
     return int(robot)
 
 
@@ -136,20 +137,3 @@ def link_names(robot: int, client: int) -> dict[str, int]:
     base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
     links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
     return {base: BASE} | links
-
-
-@contextlib.contextmanager
-def _model_file(body: BulletBody) -> Iterator[str]:
-    """Give the body's model as a file, the only form in which PyBullet loads it."""
-    path = None
-    try:
-        try:
-            handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(body.model_xml())
-        except OSError as error:
-            raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
-        yield path
-    finally:
-        if path is not None:
-            Path(path).unlink(missing_ok=True)

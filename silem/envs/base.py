@@ -73,6 +73,11 @@ class Filmed:
         actions = gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
         return self._space(self.body), actions
 
+    def _prepare(self, n: int, **options: Any) -> None:
+        """Prepare N bodies; the options are those of the simulator's environments."""
+        if options:
+            raise TypeError(f"{type(self).__name__} takes no {', '.join(options)}")
+
     def _qpos(self) -> np.ndarray:
         """Return the joint positions (nq,) of the body, or of the first of several."""
         raise NotImplementedError
@@ -99,7 +104,12 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
 
     def __init__(
-        self, body: Body | str, render_mode: str | None = None, width: int = 640, height: int = 480
+        self,
+        body: Body | str,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        **options: Any,
     ) -> None:
         """Make the environment.
 
@@ -108,12 +118,14 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             render_mode: "rgb_array" to be able to render, or None.
             width: Of the pictures, in pixels.
             height: Of the pictures, in pixels.
+            **options: What the class names.
 
         Raises:
-            SilemError: If the body or the render mode is unknown.
+            SilemError: If an argument is not allowed.
         """
         self.observation_space, self.action_space = self._set_up(body, render_mode)
         self.picture_size = width, height
+        self._prepare(1, **options)
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; return its first observation (O,) and info."""
@@ -189,6 +201,7 @@ class BatchedEnv(Filmed, VecEnv):
         seed: int = 0,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
+        **options: Any,
     ) -> None:
         """Make the environments.
 
@@ -198,6 +211,7 @@ class BatchedEnv(Filmed, VecEnv):
             seed: Root of all environments' random streams.
             max_steps: Steps after which an episode is cut off; None means the body's.
             render_mode: "rgb_array" or None.
+            **options: What the class names.
 
         Raises:
             SilemError: If an argument is not allowed.
@@ -215,12 +229,10 @@ class BatchedEnv(Filmed, VecEnv):
         super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.seed(seed)
+        self._prepare(self.num_envs, **options)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the root seed; it takes effect at the next `reset`.
-
-        Args:
-            seed: Root of all environments' random streams; None draws one.
+        """Set the root of all random streams, None to draw one, for the next `reset`.
 
         Raises:
             SilemError: If the seed is negative or not a whole number.
@@ -232,11 +244,7 @@ class BatchedEnv(Filmed, VecEnv):
         return [seed] * self.num_envs
 
     def _restart(self, is_seeded: bool) -> np.ndarray:
-        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O).
-
-        Args:
-            is_seeded: Whether the random streams are a new seed's.
-        """
+        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O)."""
         raise NotImplementedError
 
     def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
@@ -244,11 +252,7 @@ class BatchedEnv(Filmed, VecEnv):
         raise NotImplementedError
 
     def reset(self) -> np.ndarray:
-        """Start a new episode in every environment.
-
-        Returns:
-            (E, O) first observations, float32.
-        """
+        """Start a new episode in every environment; return first observations (E, O), float32."""
         is_seeded = bool(self._next_generators)
         if is_seeded:
             self._generators, self._next_generators = self._next_generators, []
@@ -290,10 +294,7 @@ class BatchedEnv(Filmed, VecEnv):
         }
 
     def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment.
-
-        Args:
-            mode: "rgb_array" or None, which means the same.
+        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
 
         Raises:
             SilemError: For any other mode, in environments without a render mode, before the first

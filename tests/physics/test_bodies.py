@@ -7,7 +7,6 @@ import difflib
 import errno
 import itertools
 import math
-import os
 import subprocess
 import sys
 import tempfile
@@ -265,7 +264,7 @@ def test_a_full_temporary_folder_is_one_line(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(os, "fdopen", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(SilemError, match="no temporary file for HC0: No space left on device"):
         Simulator(bodies.get("HC0"))
     assert not list(tmp_path.iterdir())

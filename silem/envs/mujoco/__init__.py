@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from silem.bodies import Body, MujocoBody
+from silem.bodies import MujocoBody
 from silem.envs.base import BatchedEnv, Filmed, SingleEnv
 from silem.envs.mujoco.simulator import Simulation, StartStates, start_state
 from silem.envs.mujoco.task import Reading, observation_space, observe, rewards, target_speed
@@ -26,9 +26,18 @@ class _Walker(Filmed):
     _kind = MujocoBody
     _space = staticmethod(observation_space)
 
-    def _build(
-        self, n: int, speed_m_s: float | None, starts: StartStates | None, n_threads: int = 1
+    def _prepare(
+        self,
+        n: int,
+        *,
+        n_threads: int = 1,
+        speed_m_s: float | None = None,
+        starts: StartStates | None = None,
+        **options: Any,
     ) -> None:
+        super()._prepare(n, **options)
+        if n_threads < 1:
+            raise SilemError(f"{n_threads} threads; allowed: whole numbers from 1")
         self._speed_m_s, self._starts = target_speed(self.body, speed_m_s), starts
         self.simulation = Simulation(self.body, n, min(n, n_threads))
 
@@ -47,33 +56,7 @@ class _Walker(Filmed):
 
 
 class MujocoEnv(_Walker, SingleEnv):
-    """One humanoid that learns to walk."""
-
-    def __init__(
-        self,
-        body: Body | str,
-        render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
-        *,
-        speed_m_s: float | None = None,
-        starts: StartStates | None = None,
-    ) -> None:
-        """Make the environment; the first four arguments are `SingleEnv`'s.
-
-        Args:
-            body: A body or its name.
-            render_mode: "rgb_array" or None.
-            width: Of the pictures, in pixels.
-            height: Of the pictures, in pixels.
-            speed_m_s: Speed that earns the full reward; None means the body's.
-            starts: States that episodes start from; None means the standing pose, small noise.
-
-        Raises:
-            SilemError: If an argument is not allowed.
-        """
-        super().__init__(body, render_mode, width, height)
-        self._build(1, speed_m_s, starts)
+    """One humanoid that learns to walk; its options are `MujocoVecEnv`'s."""
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         self.simulation.place(0, *start_state(self.np_random, self.body, self._starts))
@@ -95,42 +78,17 @@ class MujocoVecEnv(_Walker, BatchedEnv):
     An episode ends when the head is below the body's `fall_head_m`. `speed_m_s` of an episode is
     the straight distance covered over the time it took; `upright` is the share of `max_steps`
     that passed before a fall.
+
+    Args:
+        n_threads: Threads that step the simulations; results do not depend on it.
+        speed_m_s: Speed that earns the full reward; None means the body's.
+        starts: States that episodes start from; None means the standing pose, small noise.
     """
 
-    def __init__(
-        self,
-        body: Body | str,
-        n_envs: int = 4,
-        seed: int = 0,
-        max_steps: int | None = None,
-        render_mode: str | None = "rgb_array",
-        *,
-        n_threads: int = 1,
-        speed_m_s: float | None = None,
-        starts: StartStates | None = None,
-    ) -> None:
-        """Make the environments; the first five arguments are `BatchedEnv`'s.
-
-        Args:
-            body: A body or its name.
-            n_envs: E, at least 1.
-            seed: Root of all environments' random streams.
-            max_steps: Steps after which an episode is cut off; None means the body's.
-            render_mode: "rgb_array" or None.
-            n_threads: Threads that step the simulations; results do not depend on it.
-            speed_m_s: Speed that earns the full reward; None means the body's.
-            starts: States that episodes start from; None means the standing pose, small noise.
-
-        Raises:
-            SilemError: If an argument is not allowed.
-        """
-        if n_threads < 1:
-            raise SilemError(f"{n_threads} threads; allowed: whole numbers from 1")
-        super().__init__(body, n_envs, seed, max_steps, render_mode)
-        self._build(self.num_envs, speed_m_s, starts, n_threads)
-        self._length = np.zeros(self.num_envs, dtype=int)
-        self._return = np.zeros(self.num_envs)
-        self._start_xy = np.zeros((self.num_envs, 2))
+    def _prepare(self, n: int, **options: Any) -> None:
+        super()._prepare(n, **options)
+        self._length, self._return = np.zeros(n, dtype=int), np.zeros(n)
+        self._start_xy = np.zeros((n, 2))
 
     def _restart(self, is_seeded: bool) -> np.ndarray:
         self._begin(np.arange(self.num_envs))
