@@ -47,18 +47,10 @@ from silem.bodies.body import MujocoBody, Skeleton
 from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common, placed
 from silem.util.errors import SilemError
 
-_SIDED = {"shoulder": "scap", "elbow": "larm", "hand": "hand"}
-_SIDED |= {"hip": "uleg", "knee": "lleg", "foot": "foot"}
-SKELETON = Skeleton(
-    torso="utorso",
-    head="head",
-    **{
-        f"{s}_{point}": f"{s[0]}_{name}"
-        for s in ("left", "right")
-        for point, name in _SIDED.items()
-    },
+_LEG = {"hip": "uleg", "knee": "lleg", "foot": "foot"}
+SKELETON = Skeleton.of_sides(
+    "utorso", "head", "l_", "r_", shoulder="scap", elbow="larm", hand="hand", **_LEG
 )
-
 _HUMANOID_HEAD_M = 1.4755  # dm_control's humanoid in its zero pose, soles on the floor
 
 _ARM_RAD = {"shx": 1.35, "ely": np.pi / 2, "elx": -0.3}  # hanging, elbows bent forward a little

@@ -183,6 +183,16 @@ class Skeleton:
     axes: str = "xyz"
 
     @classmethod
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+        """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
+        sided = {
+            f"{side}_{point}": prefix + name
+            for side, prefix in (("left", left), ("right", right))
+            for point, name in limbs.items()
+        }
+        return cls(torso=torso, head=head, **sided)
+
+    @classmethod
     def points(cls) -> tuple[str, ...]:
         """Return the names of the landmarks, the torso first."""
         return tuple(entry.name for entry in fields(cls) if entry.name != "axes")

@@ -35,16 +35,14 @@ DEMONSTRATOR_SPEED_M_S = 1.6
 
 UNSCALED = {"left": 1.0, "right": 1.0}
 
-_SIDED = {"shoulder": "upper_arm", "elbow": "lower_arm", "hand": "hand"}
-_SIDED |= {"hip": "thigh", "knee": "shin", "foot": "foot"}
-SKELETON = Skeleton(
-    torso="torso",
-    head="head",
-    **{f"{s}_{point}": f"{s}_{link}" for s in ("left", "right") for point, link in _SIDED.items()},
+_ARM_LINKS = ("upper_arm", "lower_arm", "hand")
+_LIMBS = (*_ARM_LINKS, "thigh", "shin", "foot")
+_POINTS = ("shoulder", "elbow", "hand", "hip", "knee", "foot")
+SKELETON = Skeleton.of_sides(
+    "torso", "head", "left_", "right_", **dict(zip(_POINTS, _LIMBS, strict=True))
 )
 _AZIMUTH_RAD, _ELEVATION_RAD = math.radians(125), math.radians(-12)  # from the front left
 _SKY = "texture[@type='skybox']"
-_ARM_LINKS = ("upper_arm", "lower_arm", "hand")
 
 
 def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:

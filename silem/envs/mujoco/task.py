@@ -32,13 +32,21 @@ _HEAD = POINTS.index("head")
 
 
 class Reading(NamedTuple):
-    """What a simulation of E bodies holds after a step."""
+    """What a simulation of E bodies holds after a step.
 
-    qpos: np.ndarray  # (E, nq): free root (position, quaternion), hinges in rad
-    qvel: np.ndarray  # (E, nv)
-    points: np.ndarray  # landmarks in the world in m, (E, P, 3)
-    torso_axes: np.ndarray  # forward, left and up in the world, as rows, (E, 3, 3)
-    com_velocity: np.ndarray  # of the centre of mass, in the world in m/s, (E, 3)
+    Attributes:
+        qpos: Positions of all joints, (E, nq): free root (position, quaternion), hinges in rad.
+        qvel: Their velocities, (E, nv).
+        points: Landmarks in the world in m, (E, P, 3).
+        torso_axes: Forward, left and up of the torso in the world, as rows, (E, 3, 3).
+        com_velocity: Of the centre of mass, in the world in m/s, (E, 3).
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    points: np.ndarray
+    torso_axes: np.ndarray
+    com_velocity: np.ndarray
 
     @property
     def head_m(self) -> np.ndarray:
