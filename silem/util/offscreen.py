@@ -6,8 +6,6 @@ import ctypes.util
 import os
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
-
-
 _HERE = [name for name, library in _LIBRARIES.items() if ctypes.util.find_library(library)]
 
 BACKEND = os.environ.setdefault("MUJOCO_GL", _HERE[0] if _HERE else "disable")
