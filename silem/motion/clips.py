@@ -16,7 +16,7 @@ import urllib.request
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,9 +51,7 @@ ACKNOWLEDGEMENT = (
 """What CMU asks to be said wherever its data are used."""
 
 ROOT = "root"
-_FOLDER = "mocap"  # of the data folder; git ignores it
-_ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
-_AXES = ("rx", "ry", "rz")
+_CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis": ["xyz"]}
 
 
 def mocap_file(name: str) -> Path:
@@ -68,7 +66,7 @@ def mocap_file(name: str) -> Path:
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
-    path = (Path(own).expanduser() if own else paths.data_dir() / _FOLDER) / name
+    path = (Path(own).expanduser() if own else paths.data_dir() / "mocap") / name
     cached = path.is_file()
     if own and not cached:
         raise SilemError(f"{path} is missing; {ENV} must hold it, or be unset to download it")
@@ -104,17 +102,11 @@ def _download(name: str, path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Bone:
-    """A bone of a skeleton; NaN stands for what its file does not say.
+    """A bone of a skeleton; NaN stands for what its file does not say."""
 
-    Attributes:
-        axes: The axes about which it turns ("rx", ...), none if it does not move.
-        length: In the file's unit.
-        frame_deg: Orientation of its own axes: turns about x, y and z, in this order.
-    """
-
-    axes: tuple[str, ...] = ()
-    length: float = float("nan")
-    frame_deg: tuple[float, ...] = (float("nan"),) * 3
+    axes: tuple[str, ...] = ()  #: those about which it turns ("rx", ...), none if it does not move
+    length: float = float("nan")  #: in the file's unit
+    frame_deg: tuple[float, ...] = (float("nan"),) * 3  #: its own axes: turns about x, then y, z
 
 
 @dataclass(frozen=True)
@@ -140,18 +132,14 @@ class AsfSkeleton:
 class AmcClip:
     """The frames of a clip.
 
-    Attributes:
-        path: The file.
-        skeleton: The skeleton that its numbers refer to.
-        frames: (N, C) numbers in the order of the skeleton's columns: the root's position in the
-            file's unit of length, then angles in degrees.
-        first: Number of the first frame.
+    Their numbers are in the order of the skeleton's columns: the root's position in the file's unit
+    of length, then angles in degrees.
     """
 
     path: Path
     skeleton: AsfSkeleton
-    frames: np.ndarray
-    first: int = 1
+    frames: np.ndarray  #: (N, C)
+    first: int = 1  #: number of the first frame
 
 
 class _Line(NamedTuple):
@@ -165,7 +153,6 @@ class _Line(NamedTuple):
         return SilemError(f"{self.path}, line {self.number}: {problem}")
 
     def numbers(self, bone: str, texts: list[str], n: int) -> list[float]:
-        """Return n texts of a bone as numbers."""
         if len(texts) != n:
             raise self.error(f"bone {bone!r} has {len(texts)} values, allowed: {n}")
         try:
@@ -213,22 +200,16 @@ def read_asf(path: Path | str) -> AsfSkeleton:
     for name in (":root", ":bonedata", ":hierarchy"):
         if not sections.get(name):
             raise SilemError(f"{path} has no section {name}: it is truncated or no ASF file")
-    _expect(sections.get(":units", []), {"angle": ["deg"]})
-    _expect(sections[":root"], {"order": _ROOT_ORDER, "axis": ["xyz"]})
-    for line in sections[":root"]:
-        if line.words[0] == "orientation" and any(line.numbers(ROOT, line.words[1:], 3)):
+    for line in sections.get(":units", []) + sections[":root"]:
+        key, *values = line.words
+        if _CMUS.get(key, values) != values:
+            allowed = " ".join(_CMUS[key])
+            raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
+        if key == "orientation" and any(line.numbers(ROOT, values, 3)):
             raise line.error("the root is turned; allowed: orientation 0 0 0")
     bones = _bones(sections[":bonedata"])
     _check_hierarchy(sections[":hierarchy"], bones)
     return AsfSkeleton(path, bones)
-
-
-def _expect(lines: list[_Line], wanted: dict[str, list[str]]) -> None:
-    for line in lines:
-        key, *values = line.words
-        if wanted.get(key, values) != values:
-            allowed = " ".join(wanted[key])
-            raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
 
 
 def _bones(lines: list[_Line]) -> dict[str, Bone]:
@@ -246,22 +227,21 @@ def _bones(lines: list[_Line]) -> dict[str, Bone]:
         elif key in ("dof", "length", "axis"):
             if not name:
                 raise line.error(f"{key} of a bone without name; allowed: after the bone's name")
-            bones[name] = _described(bones[name], name, line)
+            bones[name] = replace(bones[name], **_said(line, name, key, values))
     return bones
 
 
-def _described(bone: Bone, name: str, line: _Line) -> Bone:
-    """Return a bone with what one line says of it."""
-    key, *values = line.words
+def _said(line: _Line, name: str, key: str, values: list[str]) -> dict[str, Any]:
+    """Return what one line says of a bone, as a field of `Bone`."""
     if key == "length":
-        return replace(bone, length=line.numbers(name, values, 1)[0])
+        return {"length": line.numbers(name, values, 1)[0]}
     if key == "axis":
         if values[3:] not in ([], ["xyz"]):
             raise line.error(f"bone {name!r} has axes {' '.join(values[3:])!r}; allowed: 'xyz'")
-        return replace(bone, frame_deg=tuple(line.numbers(name, values[:3], 3)))
-    if len(set(values)) != len(values) or not set(values) <= set(_AXES):
-        raise line.error(f"bone {name!r} turns about {values}; allowed: {', '.join(_AXES)}")
-    return replace(bone, axes=tuple(values))
+        return {"frame_deg": tuple(line.numbers(name, values[:3], 3))}
+    if len(set(values)) != len(values) or not {*values} <= {"rx", "ry", "rz"}:
+        raise line.error(f"bone {name!r} turns about {values}; allowed: rx, ry, rz")
+    return {"axes": tuple(values)}
 
 
 def _check_hierarchy(lines: list[_Line], bones: Iterable[str]) -> None:
