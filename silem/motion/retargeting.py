@@ -13,7 +13,7 @@ motion is continuous. What could not be reached is reported for every frame, not
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -81,21 +81,13 @@ def learner(name: str) -> MujocoBody:
 
 
 class Limbs(NamedTuple):
-    """Lengths between a skeleton's landmarks in m, or ratios of two skeletons' lengths.
+    """Lengths between a skeleton's landmarks in m, or ratios of two skeletons' lengths."""
 
-    Attributes:
-        leg: Hip to knee to foot, mean of both sides.
-        left_arm: Shoulder to elbow to hand.
-        right_arm: Shoulder to elbow to hand.
-        spine: Middle of the hips to torso.
-        hips: Left hip to right hip.
-    """
-
-    leg: float
-    left_arm: float
+    leg: float  #: hip to knee to foot, mean of both sides
+    left_arm: float  #: shoulder to elbow to hand
     right_arm: float
-    spine: float
-    hips: float
+    spine: float  #: middle of the hips to torso
+    hips: float  #: left hip to right hip
 
     @classmethod
     def of(cls, points: np.ndarray) -> Limbs:
@@ -122,19 +114,14 @@ class Limbs(NamedTuple):
 class Targets(NamedTuple):
     """What the inverse kinematics has to reach.
 
-    Attributes:
-        positions: (T, 5, 3) in the world in m, in the order of `TARGETS`; floor at z = 0, the
-            walk starts above the origin.
-        stance: (T, 2) whether the demonstrator's left and right foot stands.
-        ratios: The learner's limbs over the demonstrator's.
-        raised_m: (T, 2) by how much a foot's target was raised, because the scaled motion would
-            have put it lower than it is on the standing learner.
+    A foot's target is raised where the scaled motion would have put it lower than it is on the
+    standing learner.
     """
 
-    positions: np.ndarray
-    stance: np.ndarray
-    ratios: Limbs
-    raised_m: np.ndarray
+    positions: np.ndarray  #: (T, 5, 3) of `TARGETS` in m; floor at z = 0, from above the origin
+    stance: np.ndarray  #: (T, 2) whether the demonstrator's left and right foot stands
+    ratios: Limbs  #: the learner's limbs over the demonstrator's
+    raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised
 
 
 def targets(motion: Motion, body: MujocoBody) -> Targets:
@@ -277,45 +264,27 @@ def _solve(
 
 @dataclass(frozen=True)
 class IKResult:
-    """A motion retargeted to a body, with what could not be reached.
+    """A motion of T frames retargeted to a body with J hinges, and what could not be reached.
 
-    Attributes:
-        body: Name of the learner's body.
-        motion: Name of the demonstrator's motion.
-        rate_hz: Frames per second.
-        joint_names: Names of the hinges, J.
-        ratios: The learner's limb lengths over the demonstrator's.
-        features: (T, F) skeletal features by the learner's own g.
-        qpos: (T, nq) positions; the walk starts above the world's origin, the floor is z = 0.
-        qvel: (T, nv) velocities, central differences.
-        points: (T, P, 3) landmarks in the world, in m.
-        residuals: (T, 5) distance of each landmark from its target in m, in the order of
-            `TARGETS`.
-        torso_tilt_rad: (T,) angle between the torso's orientation and its target.
-        converged: (T,) whether every residual is within the tolerance.
-        at_limit: (T, J) whether a hinge is at a limit.
-        foot_skate_m_s: (T, 2) horizontal speed of the left and right foot while the
-            demonstrator's stands; NaN while it swings.
-        raised_m: (T, 2) by how much a foot's target was raised to keep the sole off the floor.
-        sole_height_m: (T, 2) height of each foot's lowest point.
+    The floor is z = 0. A foot's skate is its horizontal speed while the demonstrator's stands.
     """
 
     body: str
-    motion: str
-    rate_hz: float
-    joint_names: tuple[str, ...]
-    ratios: Limbs
-    features: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    points: np.ndarray
-    residuals: np.ndarray
-    torso_tilt_rad: np.ndarray
-    converged: np.ndarray
-    at_limit: np.ndarray
-    foot_skate_m_s: np.ndarray
-    raised_m: np.ndarray
-    sole_height_m: np.ndarray
+    motion: str  #: name of the demonstrator's motion
+    rate_hz: float  #: frames per second
+    joint_names: tuple[str, ...]  #: of the J hinges
+    ratios: Limbs  #: the learner's limbs over the demonstrator's
+    features: np.ndarray  #: (T, F) skeletal features by the learner's own g
+    qpos: np.ndarray  #: (T, nq) positions; the walk starts above the world's origin
+    qvel: np.ndarray  #: (T, nv) velocities, central differences
+    points: np.ndarray  #: (T, P, 3) landmarks in the world, in m
+    residuals: np.ndarray  #: (T, 5) distance of each of `TARGETS` from where it should be, in m
+    torso_tilt_rad: np.ndarray  #: (T,) angle between the torso's orientation and its target
+    converged: np.ndarray  #: (T,) whether every residual is within the tolerance
+    at_limit: np.ndarray  #: (T, J) whether a hinge is at a limit
+    foot_skate_m_s: np.ndarray  #: (T, 2) of the left and right foot; NaN while it swings
+    raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised (see `Targets`)
+    sole_height_m: np.ndarray  #: (T, 2) height of each foot's lowest point
 
 
 _PUBLISHED = [field.name for field in fields(IKResult)][6:]
@@ -373,29 +342,25 @@ def summary(result: IKResult) -> dict[str, Any]:
     Foot skate is None for a foot that never stands; the shares of frames in which a joint is at a
     limit are of those that ever are.
     """
-    residuals_mm = dict(zip(TARGETS, 1000 * result.residuals.T, strict=True))
-    skates = dict(zip(SIDES, result.foot_skate_m_s.T, strict=True))
-    shares = dict(zip(result.joint_names, result.at_limit.mean(axis=0), strict=True))
+    residuals_mm = 1000 * result.residuals
+    skates = np.ma.masked_invalid(result.foot_skate_m_s)
     way_m = np.linalg.norm(result.points[-1, 0, :2] - result.points[0, 0, :2])
+    at_limit = _rounded(result.joint_names, result.at_limit.mean(axis=0))
     return {
-        "residual_mean_mm": {name: _rounded(mm.mean()) for name, mm in residuals_mm.items()},
-        "residual_worst_mm": {name: _rounded(mm.max()) for name, mm in residuals_mm.items()},
-        "converged_share": _rounded(result.converged.mean()),
-        "torso_tilt_worst_deg": _rounded(np.degrees(result.torso_tilt_rad.max())),
-        "foot_skate_mean_m_s": {side: _standing(np.mean, v) for side, v in skates.items()},
-        "foot_skate_worst_m_s": {side: _standing(np.max, v) for side, v in skates.items()},
-        "speed_m_s": _rounded(way_m * result.rate_hz / (len(result.points) - 1)),
-        "at_limit_share": {name: _rounded(share) for name, share in shares.items() if share > 0},
+        "residual_mean_mm": _rounded(TARGETS, residuals_mm.mean(axis=0)),
+        "residual_worst_mm": _rounded(TARGETS, residuals_mm.max(axis=0)),
+        "converged_share": round(float(result.converged.mean()), 3),
+        "torso_tilt_worst_deg": round(float(np.degrees(result.torso_tilt_rad.max())), 3),
+        "foot_skate_mean_m_s": _rounded(SIDES, skates.mean(axis=0)),
+        "foot_skate_worst_m_s": _rounded(SIDES, skates.max(axis=0)),
+        "speed_m_s": round(float(way_m * result.rate_hz / (len(result.points) - 1)), 3),
+        "at_limit_share": {name: share for name, share in at_limit.items() if share > 0},
     }
 
 
-def _standing(of: Callable[[np.ndarray], Any], speeds: np.ndarray) -> float | None:
-    standing = speeds[~np.isnan(speeds)]
-    return _rounded(of(standing)) if standing.size else None
-
-
-def _rounded(value: float | np.floating[Any]) -> float:
-    return round(float(value), 3)
+def _rounded(names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
+    """Return rounded values by name, None for what is masked."""
+    return dict(zip(names, np.ma.round(values, 3).tolist(), strict=True))
 
 
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
@@ -405,10 +370,9 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
         SilemError: The clip was not published, or as `retarget_clip`, or another process is
             publishing.
     """
-    motion, source = published_motion(clip), published_name(clip)
-    written = []
+    source, written = published_name(clip), []
     with demos.publishing():
-        entry = demos.entry(source)
+        motion, entry = published_motion(clip), demos.entry(source)
         for body in BODIES:
             result = retarget_clip(motion, learner(body), progress=progress)
             extra = {array: getattr(result, array) for array in _PUBLISHED}
@@ -434,20 +398,12 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
 def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
     """Return the retargeting that was published for a body.
 
-    Raises:
-        SilemError: It was not published, or its file is damaged.
+    Raises SilemError as `silem.motion.demonstrations.load_published`.
     """
     name = retargeted(published_name(clip), body)
-    about, there = demos.entry(name), Demonstrations.load(name)
-    return IKResult(
-        body=body,
-        motion=clip,
-        rate_hz=about["rate_hz"],
-        features=there.features[0],
-        joint_names=tuple(about["joint_names"]),
-        ratios=Limbs(**about["limb_ratios"]),
-        **there.extra,
-    )
+    about, (there, _) = demos.entry(name), demos.load_published(name)
+    joints, ratios = tuple(about["joint_names"]), Limbs(**about["limb_ratios"])
+    return IKResult(body, clip, about["rate_hz"], joints, ratios, *there.features, **there.extra)
 
 
 def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
@@ -457,15 +413,11 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     methods train. A hinge beyond its range is put to the limit, at rest, and the body is lifted
     until both soles are above the floor; states that fit are returned as they are.
 
-    Args:
-        name: Name of the demonstrations, for example "cmu_08_01_on_Humanoid".
-        body: The learner's body.
-
     Raises:
-        SilemError: There are no demonstrations of this name, they hold no states, or states of
-            another body or with NaN or infinity.
+        SilemError: As `silem.motion.demonstrations.load_published`, or the demonstrations hold no
+            states, or states of another body or with NaN or infinity.
     """
-    extra = Demonstrations.load(name).extra
+    extra = demos.load_published(name)[0].extra
     missing = [array for array in ("qpos", "qvel") if array not in extra]
     if missing:
         raise SilemError(f"demonstrations {name!r} hold no states: they lack {', '.join(missing)}")
@@ -475,10 +427,9 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
             f"demonstrations {name!r} hold states of shape {qpos.shape[1:]} and {qvel.shape[1:]};"
             f" {body.name} needs ({model.nq},) and ({model.nv},)"
         )
-    finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+    finite = np.isfinite(np.hstack([qpos, qvel])).all(axis=1)
     if not finite.all():
-        frame = int(np.argmin(finite))
-        raise SilemError(f"demonstrations {name!r}: state {frame} holds NaN or infinity")
+        raise SilemError(f"demonstrations {name!r}: state {finite.argmin()} holds NaN or infinity")
     hinges = np.flatnonzero(model.jnt_limited)
     places, rates = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     allowed = np.clip(qpos[:, places], *model.jnt_range[hinges].T)

@@ -77,7 +77,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextmanager
 def _content(path: Path, what: str) -> Iterator[bytes]:
-    """Give a file's bytes to a parser; whatever that raises ends in one line that names the file."""
+    """Give a file to a parser; whatever that raises becomes one line that names the file."""
     try:
         data = Path(path).read_bytes()
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a NUL in the path
