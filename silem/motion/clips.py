@@ -13,7 +13,6 @@ import hashlib
 import http.client
 import os
 import urllib.request
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -207,8 +206,13 @@ def read_asf(path: Path | str) -> AsfSkeleton:
             raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
         if key == "orientation" and any(line.numbers(ROOT, values, 3)):
             raise line.error("the root is turned; allowed: orientation 0 0 0")
-    bones = _bones(sections[":bonedata"])
-    _check_hierarchy(sections[":hierarchy"], bones)
+    bones, hierarchy = _bones(sections[":bonedata"]), sections[":hierarchy"]
+    begin, end, links = hierarchy[0], hierarchy[-1], hierarchy[1:-1]
+    if begin.words != ["begin"] or end.words != ["end"]:
+        raise end.error("the hierarchy is not from 'begin' to 'end': it is truncated")
+    hanging = {bone for line in links for bone in line.words[1:]}
+    if differing := {line.words[0] for line in links} - {ROOT, *bones} | hanging ^ bones.keys():
+        raise end.error(f"not both described and in the hierarchy: {', '.join(sorted(differing))}")
     return AsfSkeleton(path, bones)
 
 
@@ -242,20 +246,6 @@ def _said(line: _Line, name: str, key: str, values: list[str]) -> dict[str, Any]
     if len(set(values)) != len(values) or not {*values} <= {"rx", "ry", "rz"}:
         raise line.error(f"bone {name!r} turns about {values}; allowed: rx, ry, rz")
     return {"axes": tuple(values)}
-
-
-def _check_hierarchy(lines: list[_Line], bones: Iterable[str]) -> None:
-    linked = {ROOT}
-    for line in lines[1:-1]:  # between "begin" and "end"
-        unknown = [bone for bone in line.words if bone not in (ROOT, *bones)]
-        if unknown:
-            raise line.error(f"unknown bone {unknown[0]!r}: the file describes no such bone")
-        linked.update(line.words[1:])
-    if lines[0].words != ["begin"] or lines[-1].words != ["end"]:
-        raise lines[-1].error("the hierarchy is not from 'begin' to 'end': it is truncated")
-    loose = [bone for bone in bones if bone not in linked]
-    if loose:
-        raise lines[-1].error(f"bone {loose[0]!r} hangs on no other bone")
 
 
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:

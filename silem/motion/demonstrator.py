@@ -28,36 +28,22 @@ from silem.motion import demonstrations as demos
 from silem.motion.clips import AmcClip, AsfSkeleton, read_amc, read_asf
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.features import skeletal_features
-from silem.motion.kinematics import Soles
+from silem.motion.kinematics import SIDES, Soles
 from silem.util import files
 from silem.util.errors import SilemError, check_name, choose
 
 BODY = "humanoid_CMU"
-CLIPS = tuple(f"08_{number:02d}" for number in range(1, 12))
-"""Subject 8's clips, all of walking."""
+CLIPS = tuple(f"08_{number:02d}" for number in range(1, 12))  #: subject 8's, all of walking
+RATE_HZ = 40.0  #: the control rate of the humanoids
+CMU_RATE_HZ = 120.0  #: of subject 8's; the files do not say it, and a few of CMU's have 60
 
-RATE_HZ = 40.0
-"""The control rate of the humanoids."""
-
-CMU_RATE_HZ = 120.0
-"""At which subject 8 was captured. The files do not say it, and a few of CMU's have 60."""
-
+_LIMBS = {"shoulder": "humerus", "elbow": "radius", "hand": "hand"}
+_LIMBS |= {"hip": "femur", "knee": "tibia", "foot": "foot"}
 SKELETON = Skeleton(
     torso="thorax",
     head="head",
-    left_shoulder="lhumerus",
-    left_elbow="lradius",
-    left_hand="lhand",
-    right_shoulder="rhumerus",
-    right_elbow="rradius",
-    right_hand="rhand",
-    left_hip="lfemur",
-    left_knee="ltibia",
-    left_foot="lfoot",
-    right_hip="rfemur",
-    right_knee="rtibia",
-    right_foot="rfoot",
     axes="zxy",
+    **{f"{side}_{name}": side[0] + bone for side in SIDES for name, bone in _LIMBS.items()},
 )
 """The torso is the thorax: the paper's distances in the default pose, feet 1.13 m and hands 0.74 m
 away, are those from `humanoid_CMU`'s thorax."""
@@ -67,14 +53,9 @@ FLOOR_SLOPE = 0.0206
 captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
 eleven clips, has this slope, with a standard error of 0.0006. Of other clips nothing is known."""
 
-MAX_HELD_S = 0.1
-"""A frame may be held this long for the gap to be closed by interpolation."""
-
-MAX_ROOT_ACCELERATION_M_S2 = 600.0
-"""From one frame to the next: 61 times gravity, which no walking man's pelvis does."""
-
-MIN_SPEED_M_S = 0.1
-"""A clip of a man who goes no faster has no direction, and nothing for a task of walking."""
+MAX_HELD_S = 0.1  #: a frame may be held this long for the gap to be closed by interpolation
+MAX_ROOT_ACCELERATION_M_S2 = 600.0  #: 61 times gravity, which no walking man's pelvis reaches
+MIN_SPEED_M_S = 0.1  #: a man who goes no faster has no direction, and shows nothing of walking
 
 FEATURES_VERSION = 1
 """How a clip becomes features: to be raised, and the clips published anew, when numbers change."""
@@ -149,8 +130,7 @@ def pose(
     Args:
         clip: The frames.
         capture_rate_hz: Frames per second, which the files do not say.
-        rate_hz: States per second, up to the capture's. Positions and hinges are interpolated
-            linearly, the root's orientation along the great arc (slerp).
+        rate_hz: States per second, up to the capture's; see `silem.motion.kinematics.interpolate`.
         floor_slope: By how many metres the captured floor rises per metre forward.
         heading_rad: Direction of walking, from CMU's forward axis (z) to the left; None means from
             the first frame's place to the last one's.

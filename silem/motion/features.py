@@ -33,10 +33,10 @@ _HEAD = POINTS.index("head")
 
 
 def _vectors() -> tuple[np.ndarray, np.ndarray]:
-    """Return where the vectors that features are made of end and start: numbers of landmarks.
+    """Return which landmarks the vectors of features end and start at.
 
-    First from the torso to each of `_LIMBS`, then from each of `_JOINTS` to one end of its limb,
-    then to the other end.
+    From the torso to each of `_LIMBS`, from each of `_JOINTS` to one end of its limb and to the
+    other.
     """
     pairs = [(limb, "torso") for limb in _LIMBS]
     for end in (0, 1):
@@ -51,16 +51,10 @@ _ENDS, _STARTS = _vectors()
 
 
 def _features() -> tuple[Feature, ...]:
-    limbs = [
-        Feature(f"{limb}_{axis}", f"{limb.replace('_', ' ')} {axis}", "m")
-        for limb in _LIMBS
-        for axis in "xyz"
-    ]
-    joints = [Feature(joint, joint.replace("_", " "), "rad") for joint in _JOINTS]
-    head = Feature("head_height", "head height", "m")
-    up = [Feature(f"torso_vertical_{axis}", f"torso vertical {axis}", "") for axis in "xyz"]
-    velocity = [Feature(f"com_velocity_{axis}", f"velocity {axis}", "m/s") for axis in "xyz"]
-    return (*limbs, *joints, head, *up, *velocity)
+    vectors = [*((limb, "m") for limb in _LIMBS), ("torso_vertical", ""), ("com_velocity", "m/s")]
+    named = [(f"{name}_{axis}", unit) for name, unit in vectors for axis in "xyz"]
+    named[12:12] = [*((joint, "rad") for joint in _JOINTS), ("head_height", "m")]
+    return tuple(Feature(n, n.removeprefix("com_").replace("_", " "), unit) for n, unit in named)
 
 
 FEATURES = _features()
@@ -70,11 +64,7 @@ the two segments that meet there, pi when the limb is straight."""
 
 
 class Landmarks:
-    """Where a model's landmarks are found in its data.
-
-    Attributes:
-        ids: (P,) numbers of the MuJoCo bodies, in the order of `POINTS`.
-        root: Number of the body that carries all others.
+    """Where a model's landmarks are found in its data: the numbers of its bodies.
 
     Raises:
         SilemError: If the model lacks one of the skeleton's bodies.
@@ -86,9 +76,9 @@ class Landmarks:
         missing = [name for name, index in zip(names, found, strict=True) if index < 0]
         if missing:
             raise SilemError(f"the model has no body {', '.join(missing)} that its skeleton names")
-        self.ids = np.array(found)
+        self.ids = np.array(found)  #: (P,) in the order of `POINTS`
         self.torso = found[0]
-        self.root = int(model.body_rootid[self.torso])
+        self.root = int(model.body_rootid[self.torso])  #: carries all others
         self._axes = np.array(["xyz".index(axis) for axis in skeleton.axes])
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
@@ -131,11 +121,18 @@ def skeletal_features(
     return np.concatenate(parts, axis=-1, dtype=np.float32)
 
 
+def read(
+    model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `skeletal_features` takes of one state, whose velocities must be up to date."""
+    mujoco.mj_subtreeVel(model, data)
+    velocity = data.subtree_linvel[landmarks.root].copy()
+    return landmarks.points(data), landmarks.torso_axes(data), velocity
+
+
 def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.ndarray:
     """Return the features (F,) of one state; its positions and velocities must be up to date."""
-    mujoco.mj_subtreeVel(model, data)
-    velocity = data.subtree_linvel[landmarks.root]
-    return skeletal_features(landmarks.points(data), landmarks.torso_axes(data), velocity)
+    return skeletal_features(*read(model, data, landmarks))
 
 
 def _angles(segments: np.ndarray) -> np.ndarray:

@@ -5,10 +5,7 @@ after scaling them to the learner. Here (page "The method", equation eq-targets)
 through one similarity transform of the demonstrator's world, by the ratio of the leg lengths:
 keeping the forward motion instead would drag every planted foot over the floor at (1 - ratio)
 times the walking speed. The torso follows the middle of the hips by the ratio of the spines, the
-hands the shoulders by that of the arms.
-
-Inverse kinematics poses the learner, frame by frame, each starting from the pose before: so the
-motion is continuous. What could not be reached is reported for every frame, not hidden.
+hands the shoulders by that of the arms. What could not be reached is reported for every frame.
 """
 
 from __future__ import annotations
@@ -32,23 +29,17 @@ from silem.motion import kinematics, retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import Motion, published_motion, published_name
 from silem.motion.features import POINTS, skeletal_features
-from silem.motion.kinematics import SIDES, FloorLimit, Soles
+from silem.motion.kinematics import SIDES, Soles
 from silem.util.errors import SilemError
 
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
-
-TARGETS = ("torso", "left_hand", "right_hand", "left_foot", "right_foot")
-"""The targets of the inverse kinematics, each a landmark."""
 
 STANCE_SPEED_M_S = 0.3
 """A demonstrator's foot slower than this, horizontally, stands. (In 08_01 a standing foot moves
 at up to 0.2 m/s, a swinging one at up to 4.7 m/s.)"""
 
-TOLERANCE_M = 0.03
-"""A frame whose targets are all reached to within this counts as converged."""
-
-LIMIT_TOLERANCE_RAD = 1e-3
-"""A joint closer to a limit than this is at it."""
+TOLERANCE_M = 0.03  #: a frame whose targets are all reached to within this counts as converged
+LIMIT_TOLERANCE_RAD = 1e-3  #: a joint closer to a limit than this is at it
 
 RETARGETING_VERSION = 1
 """How a motion becomes a learner's: to be raised, and all published anew, when numbers change."""
@@ -61,6 +52,7 @@ _COSTS = {  # of position (per m) and orientation (per rad): what is out of reac
     "left_foot": (10.0, 0.0),
     "right_foot": (10.0, 0.0),
 }
+TARGETS = tuple(_COSTS)  #: of the inverse kinematics, each a landmark
 _STANDING_COST = 0.004  # towards the standing pose, in what the targets leave open
 _PREVIOUS_COST = 0.025  # towards the frame before
 _BELOW_FLOOR_COST = 100.0  # counts in whether a step is accepted
@@ -131,10 +123,10 @@ def targets(motion: Motion, body: MujocoBody) -> Targets:
         SilemError: The motion holds NaN or infinity.
     """
     for name, array in (("points", motion.points), ("torso_axes", motion.torso_axes)):
-        broken = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
-        if broken.any():
-            frame = int(np.argmax(broken))
-            raise SilemError(f"motion {motion.name}: {name} of frame {frame} hold NaN or infinity")
+        finite = np.isfinite(array).all(axis=(1, 2))
+        if not finite.all():
+            where = f"motion {motion.name}: {name} of frame {finite.argmin()}"
+            raise SilemError(f"{where} hold NaN or infinity")
     model = _compiled(body)
     standing = np.array([body.standing_pose]), np.zeros((1, model.nv))
     (points,), (torso_axes,), _ = kinematics.observe(model, body.skeleton, *standing)
@@ -217,7 +209,7 @@ def _solve(
     previous, posture = (mink.PostureTask(model, c) for c in (_PREVIOUS_COST, _STANDING_COST))
     posture.set_target(standing)
     tasks = [*frames, previous, posture]
-    limits = [mink.ConfigurationLimit(model), FloorLimit(model, soles)]
+    limits = [mink.ConfigurationLimit(model), soles]
     columns = ["xyz".index(axis) for axis in body.skeleton.axes]
 
     def cost() -> float:
@@ -306,11 +298,10 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
     residuals = np.linalg.norm(reached - wanted.positions, axis=-1)
     converged = (residuals <= TOLERANCE_M).all(axis=1)
     if not converged.any():
-        worst = int(np.argmax(residuals[0]))
         raise SilemError(
-            f"{body.name} cannot follow {motion.name} in any frame: in frame 0 its "
-            f"{TARGETS[worst]} stays {1000 * residuals[0, worst]:.0f} mm from its target, "
-            f"allowed: {1000 * TOLERANCE_M:g} mm"
+            f"{body.name} cannot follow {motion.name} in any frame: in frame 0 its"
+            f" {TARGETS[residuals[0].argmax()]} stays {1000 * residuals[0].max():.0f} mm from its"
+            f" target, allowed: {1000 * TOLERANCE_M:g} mm"
         )
     cosine = (np.einsum("tij,tij->t", torso_axes, motion.torso_axes) - 1) / 2
     hinges = np.flatnonzero(model.jnt_limited)
@@ -360,7 +351,7 @@ def summary(result: IKResult) -> dict[str, Any]:
 
 def _rounded(names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
     """Return rounded values by name, None for what is masked."""
-    return dict(zip(names, np.ma.round(values, 3).tolist(), strict=True))
+    return dict(zip(names, values.round(3).tolist(), strict=True))
 
 
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:

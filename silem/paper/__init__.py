@@ -7,7 +7,7 @@ that the scorecard checks all come from here, each with the table or sentence it
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -35,10 +35,10 @@ class PaperTable:
     section: str  #: title of the section it stands in
     kind: str  #: ``"common"``, ``"grid"``, ``"best"`` or ``"result"``
     caption: str
-    rows: tuple[Mapping[str, Any], ...]  #: one mapping of column to printed value for each row
-    methods: tuple[str, ...] = ()  #: those it holds for ("best" and "grid")
-    families: tuple[str, ...] = ()  #: families of bodies it holds for ("common")
-    bodies: tuple[str, ...] = ()  #: those it holds for ("grid")
+    rows: Sequence[Mapping[str, Any]]  #: one mapping of column to printed value for each row
+    methods: Sequence[str] = ()  #: those it holds for ("best" and "grid")
+    families: Sequence[str] = ()  #: families of bodies it holds for ("common")
+    bodies: Sequence[str] = ()  #: those it holds for ("grid")
     grid: str = ""  #: key of the grid that a table of best combinations was searched on
     note: str = ""  #: what is odd about it, if anything
 
@@ -83,7 +83,7 @@ class Symbol:
 def tables() -> dict[str, PaperTable]:
     """Load every table of the paper and its supplement by key, in the order they are printed."""
     found = [
-        PaperTable(**{k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()})
+        PaperTable(**entry)
         for name in ("results", "common", "half_cheetah", "ant", "humanoids")
         for entry in _read(name)["table"]
     ]

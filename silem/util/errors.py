@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -61,7 +61,7 @@ class NumberKind:
     holds: Callable[[Any], bool]
 
 
-COUNT = NumberKind("a whole number from 1", lambda n: isinstance(n, numbers.Integral) and n > 0)
+COUNT = NumberKind("a whole number from 1", lambda n: isinstance(n, Integral) and int(n) > 0)
 RATE = NumberKind("a number above 0", lambda x: x > 0)
 WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x < math.inf)
 FACTOR = NumberKind("a number above 0 and at most 1", lambda x: 0 < x <= 1)
@@ -71,6 +71,6 @@ def check_numbers(values: Mapping[str, Any], kinds: Mapping[str, NumberKind]) ->
     """Raise SilemError where one of the named values that there are is no number of its kind."""
     for name, kind in kinds.items():
         value = values.get(name, 1)
-        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        number = isinstance(value, Real) and not isinstance(value, bool)
         if not number or not kind.holds(value):
             raise SilemError(f"{name} must be {kind.words}, not {value!r}")

@@ -107,7 +107,7 @@ def test_best_rows_give_every_symbol_that_the_grid_varied() -> None:
         if table.kind != "best":
             continue
         grid = {row["symbol"]: row for row in paper.table(table.grid).rows}
-        silem = table.methods == ("silem",)
+        silem = table.methods == ["silem"]
         needed = {
             symbol
             for symbol, row in grid.items()
