@@ -89,18 +89,16 @@ class Limbs(NamedTuple):
         a bent limb looks shorter than it is, and a single broken frame should not matter.
         """
 
-        def length(*chain: np.ndarray) -> float:
-            parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1)
-            return float(np.quantile(parts.sum(axis=0), 0.95))
+        def lengths(*chain: np.ndarray) -> list[float]:
+            parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1).sum(axis=0)
+            found: list[float] = np.quantile(parts.reshape(-1, parts.shape[-1]), 0.95, 0).tolist()
+            return found
 
-        def limbs(*names: str) -> list[float]:
-            return [length(*(_at(points, f"{side}_{name}") for name in names)) for side in SIDES]
-
-        leg = sum(limbs("hip", "knee", "foot")) / 2
-        left_arm, right_arm = limbs("shoulder", "elbow", "hand")
-        spine = length(_mid_hip(points), _at(points, "torso"))
-        hips = length(*(_at(points, f"{side}_hip") for side in SIDES))
-        return cls(leg, left_arm, right_arm, spine, hips)
+        hips, torso = _both(points, "hip"), points[..., :1, :]
+        legs = lengths(hips, _both(points, "knee"), _both(points, "foot"))
+        arms = lengths(*(_both(points, name) for name in ("shoulder", "elbow", "hand")))
+        spine, width = lengths(hips.mean(-2, keepdims=True), torso), lengths(*np.split(hips, 2, -2))
+        return cls(sum(legs) / 2, *arms, *spine, *width)
 
 
 class Targets(NamedTuple):
@@ -132,37 +130,31 @@ def targets(motion: Motion, body: MujocoBody) -> Targets:
     (points,), (torso_axes,), _ = kinematics.observe(model, body.skeleton, *standing)
     demonstrator, own = Limbs.of(motion.points), Limbs.of(points)
     ratios = Limbs(*np.divide(own, demonstrator).tolist())
-    stance, feet = standing_feet(motion), _feet(motion.points)
-    foot_height = float(_feet(points)[:, 2].mean())
+    stance, feet = standing_feet(motion), _both(motion.points, "foot")
+    foot_height = float(_both(points, "foot")[:, 2].mean())
     # Where the landmark of a foot is when that foot stands: the median. Targets below it are
     # raised to it, for in the clips a foot that stands sinks and rises by 1 cm or 2, and on the
     # learner it should be on the floor, not above it.
     ground = [
-        float(np.median(heights[stands]) if stands.any() else heights.min())
+        [float(np.median(heights[stands]) if stands.any() else heights.min())]
         for heights, stands in zip(feet[..., 2].T, stance.T, strict=True)
     ]
-    start = _mid_hip(motion.points)[0] * _HORIZONTAL
+    mid_hip = _both(motion.points, "hip").mean(axis=-2, keepdims=True)
 
-    def moved(world: np.ndarray, ground_m: float) -> np.ndarray:
+    def moved(world: np.ndarray, ground_m: Any) -> np.ndarray:
+        start = mid_hip[0] * _HORIZONTAL
         return ratios.leg * (world - start - ground_m * _UP) + foot_height * _UP
 
-    spine = _at(motion.points, "torso") - _mid_hip(motion.points)
-    torso = moved(_mid_hip(motion.points), sum(ground) / 2) + ratios.spine * spine
-    hands = [
-        torso
-        + torso_axes @ (_at(points, f"{side}_shoulder") - points[0]) @ motion.torso_axes
-        + ratio * (_at(motion.points, f"{side}_hand") - _at(motion.points, f"{side}_shoulder"))
-        for side, ratio in zip(SIDES, (ratios.left_arm, ratios.right_arm), strict=True)
-    ]
+    torso = moved(mid_hip, np.mean(ground)) + ratios.spine * (motion.points[:, :1] - mid_hip)
+    shoulders = (_both(points, "shoulder") - points[0]) @ torso_axes.T @ motion.torso_axes
+    arms = _both(motion.points, "hand") - _both(motion.points, "shoulder")
+    hands = torso + shoulders + np.array([[ratios.left_arm], [ratios.right_arm]]) * arms
     left = motion.torso_axes[:, 1].mean(axis=0) * _HORIZONTAL
     wider = (own.hips - ratios.leg * demonstrator.hips) / 2 * (left / np.linalg.norm(left))
-    moved_feet = [
-        moved(feet[:, side], ground[side]) + sign * wider for side, sign in enumerate((1, -1))
-    ]
-    positions = np.stack([torso, *hands, *moved_feet], axis=1)
-    raised = np.maximum(foot_height - positions[:, 3:, 2], 0)
-    positions[:, 3:, 2] += raised
-    return Targets(positions, stance, ratios, raised)
+    feet = moved(feet, np.array(ground)) + np.array([[1], [-1]]) * wider
+    raised = np.maximum(foot_height - feet[..., 2], 0)
+    feet[..., 2] += raised
+    return Targets(np.concatenate([torso, hands, feet], axis=1), stance, ratios, raised)
 
 
 def standing_feet(motion: Motion) -> np.ndarray:
@@ -172,20 +164,13 @@ def standing_feet(motion: Motion) -> np.ndarray:
 
 def foot_speeds_m_s(points: np.ndarray, rate_hz: float) -> np.ndarray:
     """Return how fast the left and right foot of landmarks (T, P, 3) move horizontally, (T, 2)."""
-    velocity = np.gradient(_feet(points)[..., :2], 1 / rate_hz, axis=0)
+    velocity = np.gradient(_both(points, "foot")[..., :2], 1 / rate_hz, axis=0)
     return np.linalg.norm(velocity, axis=-1)
 
 
-def _at(points: np.ndarray, name: str) -> np.ndarray:
-    return points[..., POINTS.index(name), :]
-
-
-def _feet(points: np.ndarray) -> np.ndarray:
-    return np.stack([_at(points, f"{side}_foot") for side in SIDES], axis=-2)
-
-
-def _mid_hip(points: np.ndarray) -> np.ndarray:
-    return (_at(points, "left_hip") + _at(points, "right_hip")) / 2
+def _both(points: np.ndarray, name: str) -> np.ndarray:
+    """Return the left and the right landmark of a name, (..., 2, 3)."""
+    return points[..., [POINTS.index(f"{side}_{name}") for side in SIDES], :]
 
 
 def _compiled(body: MujocoBody) -> mujoco.MjModel:
