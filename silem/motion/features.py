@@ -27,27 +27,18 @@ class Feature(NamedTuple):
 
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
-_JOINTS = ("left_elbow", "right_elbow", "left_knee", "right_knee")
-_SEGMENTS = {"elbow": ("shoulder", "hand"), "knee": ("hip", "foot")}  # what a joint lies between
+_JOINTS = {  # and the ends of the two segments that meet there
+    f"{side}_{joint}": (f"{side}_{start}", f"{side}_{end}")
+    for joint, start, end in (("elbow", "shoulder", "hand"), ("knee", "hip", "foot"))
+    for side in ("left", "right")
+}
 _HEAD = POINTS.index("head")
 
-
-def _vectors() -> tuple[np.ndarray, np.ndarray]:
-    """Return which landmarks the vectors of features end and start at.
-
-    From the torso to each of `_LIMBS`, from each of `_JOINTS` to one end of its limb and to the
-    other.
-    """
-    pairs = [(limb, "torso") for limb in _LIMBS]
-    for end in (0, 1):
-        for joint in _JOINTS:
-            side, name = joint.split("_")
-            pairs.append((f"{side}_{_SEGMENTS[name][end]}", joint))
-    ends, starts = np.array([[POINTS.index(name) for name in pair] for pair in pairs]).T
-    return ends, starts
-
-
-_ENDS, _STARTS = _vectors()
+# The vectors that features are made of end and start at these landmarks: from the torso to each of
+# the limbs, from each of the joints to one end and to the other.
+_PAIRS = [(limb, "torso") for limb in _LIMBS]
+_PAIRS += [(ends[i], joint) for i in (0, 1) for joint, ends in _JOINTS.items()]
+_ENDS, _STARTS = np.array([[POINTS.index(name) for name in pair] for pair in _PAIRS]).T
 
 
 def _features() -> tuple[Feature, ...]:

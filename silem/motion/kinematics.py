@@ -121,18 +121,17 @@ class Soles(mink.Limit):
 
 def _extremes(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float]:
     """Return the extreme points of a shape in its body's frame, (n, 3), and a radius, in m."""
-    size = model.geom_size[geom]
-    kind = mujoco.mjtGeom(model.geom_type[geom])
-    radius = 0.0 if kind == mujoco.mjtGeom.mjGEOM_BOX else float(size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        points = np.zeros((1, 3))
-    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        points = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        points = np.array(list(itertools.product((-1, 1), repeat=3))) * size
-    else:
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(model.geom_type[geom])
+    extents = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: np.zeros(3),
+        mujoco.mjtGeom.mjGEOM_CAPSULE: np.array([0, 0, size[1]]),
+        mujoco.mjtGeom.mjGEOM_BOX: size,
+    }
+    if kind not in extents:
         name, shape = model.geom(geom).name, kind.name.removeprefix("mjGEOM_").lower()
         raise SilemError(f"shape {name!r} of a foot is a {shape}; allowed: sphere, capsule, box")
+    points = np.unique(list(itertools.product((-1, 1), repeat=3)) * extents[kind], axis=0)
+    radius = 0.0 if kind == mujoco.mjtGeom.mjGEOM_BOX else float(size[0])
     frame = np.empty(9)
     mujoco.mju_quat2Mat(frame, model.geom_quat[geom])
     return model.geom_pos[geom] + points @ frame.reshape(3, 3).T, radius
