@@ -397,7 +397,7 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     missing = [array for array in ("qpos", "qvel") if array not in extra]
     if missing:
         raise SilemError(f"demonstrations {name!r} hold no states: they lack {', '.join(missing)}")
-    qpos, qvel, model = extra["qpos"].copy(), extra["qvel"].copy(), _compiled(body)
+    qpos, qvel, model = extra["qpos"], extra["qvel"], _compiled(body)
     if qpos.shape[1:] != (model.nq,) or qvel.shape[1:] != (model.nv,):
         raise SilemError(
             f"demonstrations {name!r} hold states of shape {qpos.shape[1:]} and {qvel.shape[1:]};"

@@ -104,6 +104,17 @@ def test_states_that_are_not_finite_are_refused(broken: str, array: str, value: 
         states(bodies.get("Humanoid"))
 
 
+def test_states_that_are_not_those_in_the_manifest_are_refused(broken: str) -> None:
+    arrays = {"qpos": np.zeros((3, 28)), "qvel": np.zeros((3, 27))}
+    publish(broken, **arrays)
+    changed = Demonstrations((np.ones((3, 23), np.float32),), body="Humanoid", extra=arrays)
+    changed.save(demonstrations.file_of(broken))
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json .* describes"):
+        states(bodies.get("Humanoid"))
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json .* describes"):
+        published_retargeting("Humanoid")
+
+
 def test_demonstrations_without_states_give_no_starts() -> None:
     with pytest.raises(SilemError, match="'HC0' hold no states: they lack qpos, qvel"):
         demonstration_states("HC0", learner("Humanoid"))
