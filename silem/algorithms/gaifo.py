@@ -320,7 +320,5 @@ def _checked(demonstrations: Any, method: str) -> Demonstrations:
         )
     try:
         return Demonstrations.from_arrays(demonstrations)
-    except SilemError:
-        raise
-    except (TypeError, ValueError) as error:
-        raise SilemError(f"demonstrations are not {wanted}: {error}") from error
+    except (TypeError, ValueError) as error:  # a SilemError is a ValueError
+        raise SilemError(f"unusable demonstrations: {error}; allowed: {wanted}") from error

@@ -29,7 +29,7 @@ import nbformat
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from silem.report import results, style
+from silem.report import glance, results, style
 from silem.report.figures.trials import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
@@ -228,7 +228,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     started = time.perf_counter()
     try:
         if options.figures:
-            print(*(path.relative_to(REPO) for path in draw_figures()), sep="\n")
+            drawn = [*draw_figures(), *glance.write()]
+            print(*(path.relative_to(REPO) for path in drawn), sep="\n")
         else:
             pages = build(options.workers, options.reuse_executed)
             seconds = time.perf_counter() - started

@@ -13,20 +13,27 @@ import numpy as np
 import pandas as pd
 
 from silem import bodies
+from silem.motion.features import FEATURES
 from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
 from silem.study.curve import COLUMNS as CURVE_COLUMNS
 from silem.study.record import CURVE, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES
-from silem.study.studies import cells
+from silem.study.studies import cells, seeds_of
 from silem.util import files
 from silem.util.errors import SilemError
 
 __all__ = [
-    "COLUMNS", "KEYS", "body_names", "cell", "context", "describe", "find", "is_evidence",
-    "is_planned", "load_curve", "load_records", "load_transform", "missing_runs", "original_body",
-    "planned_methods", "scores", "select", "stand_ins", "upright_label",
+    "COLUMNS", "KEYS", "against_best", "body_names", "cell", "context", "describe", "find",
+    "is_evidence", "is_planned", "load_curve", "load_records", "load_transform",
+    "n_trials", "original_body", "paper_loss", "planned_methods", "scores", "select", "stand_ins",
+    "upright_label", "values",
 ]  # fmt: skip
+
+PAPER_LOSS = {
+    "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
+}  # fmt: skip
+"""The study that has a study's cells with the paper's loss for D, without our gradient penalty."""
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
@@ -77,9 +84,28 @@ def select(
     return narrowed
 
 
-def missing_runs(frame: pd.DataFrame) -> pd.DataFrame:
-    """List the planned runs that are not in a table, with the command that makes each."""
-    return pd.DataFrame(frame.attrs["missing"], columns=[*KEYS, "run_id", "command"])
+def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
+    """Return a study's runs with the paper's loss for D; None where no study plans any.
+
+    Experts and the random policy, which have no discriminator, are the same runs in both.
+    """
+    study, budget = context(frame)
+    if study not in PAPER_LOSS:
+        return None
+    runs = load_records(PAPER_LOSS[study], budget)
+    shared = frame[frame["method"].isin(_WITHOUT_D)]
+    both = pd.concat([part for part in (runs, shared) if len(part)] or [runs], ignore_index=True)
+    both.attrs = runs.attrs | {"shared": _WITHOUT_D}
+    return both
+
+
+_WITHOUT_D = ("ppo", "random")
+
+
+def n_trials(frame: pd.DataFrame) -> int:
+    """Return how many trials a table's study plans for each cell at its budget."""
+    study, budget = context(frame)
+    return len(seeds_of(study, BUDGETS[budget]))
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
@@ -102,9 +128,11 @@ def upright_label(frame: pd.DataFrame) -> str:
 
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
-    """Tell whether a table's study has a cell for a method on a body."""
+    """Tell whether a table's study has a cell for a method on a body, or shares another's."""
     study, _ = context(frame)
-    return any(cell.method == method and cell.body == body for cell in cells(study))
+    return method in frame.attrs.get("shared", ()) or any(
+        cell.method == method and cell.body == body for cell in cells(study)
+    )
 
 
 def planned_methods(frame: pd.DataFrame, methods: Sequence[str]) -> list[str]:
@@ -127,6 +155,41 @@ def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
     """Return one cell's values in a column that are known, shape (N,)."""
     return cell(frame, method, body)[column].dropna().to_numpy(dtype=np.float64)
+
+
+def against_best(frame: pd.DataFrame, method: str, body: str) -> np.ndarray:
+    """Return one cell's returns over the return of the body's best expert, which demonstrates.
+
+    Empty where there is no expert whose return is above zero.
+    """
+    experts = scores(frame, "ppo", body, "return_mean")
+    best = experts.max(initial=0.0)
+    return scores(frame, method, body, "return_mean") / best if best > 0 else np.empty(0)
+
+
+def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.ndarray:
+    """Return one cell's values of a quantity that a claim is about, one for each trial, (N,).
+
+    Args:
+        frame: Runs of one study at one budget.
+        method: The method.
+        body: The body.
+        quantity: A column; ``"returns"``, the episodes of a policy that is not trained, which are
+            its replicates; or an entry of a humanoid's T, the mean over the features whose names
+            begin so: ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
+    """
+    runs = cell(frame, method, body)
+    if quantity == "returns":
+        return np.array(runs["returns"].iloc[0]) if len(runs) else np.empty(0)
+    key, _, parts = quantity.partition(" ")
+    if not parts:
+        return scores(frame, method, body, quantity)
+    entries = [load_transform(run_id)[key] for run_id in runs["run_id"]]
+    one, *other = (
+        np.array([entry[[f.name.startswith(part) for f in FEATURES]].mean() for entry in entries])
+        for part in parts.split(" - ")
+    )
+    return one - other[0] if other else one
 
 
 def load_curve(run_id: str) -> pd.DataFrame:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import hashlib
 import html
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from pandas.io.formats.style import Styler
 
-from silem import bodies, paper
-from silem.bodies import describe
+from silem import paper
 from silem.report import results, style
-from silem.report.features import feature_names
+from silem.study import statistics
+from silem.util import files, paths
 
 DASH = "–"
-_MOTORS_LISTED = 8
 
 
 def table_1(frame: pd.DataFrame) -> Styler:
@@ -46,64 +46,37 @@ def table_1(frame: pd.DataFrame) -> Styler:
     return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
 
 
-def body_table(names: Sequence[str] | None = None) -> Styler:
-    """Return a table of bodies: what sets each apart, masses as the simulator has them, motors.
+def random_policies() -> Styler:
+    """Return what each reading of "a random policy" returns on HC0, beside the paper's number.
 
-    Args:
-        names: The bodies; None means all.
+    The returns were measured by ``python -m benchmarks.random_policy``.
     """
-    rows = []
-    for name in names or bodies.names():
-        body, facts = bodies.get(name), describe(name)
-        label, length_m = body.length
-        heaviest = max(facts["masses_kg"], key=facts["masses_kg"].get)
-        rows.append(
-            {
-                "body": name,
-                "what it is": body.description,
-                "what sets it apart (m)": f"{label}: {length_m:.3g}",
-                "mass (kg)": f"{facts['total_mass_kg']:.1f}",
-                "heaviest link (kg)": f"{heaviest} {facts['masses_kg'][heaviest]:.1f}",
-                "joints": len(facts["joints"]),
-                "motors (N m)": _motors(facts["actuators"]),
-                "features": len(feature_names(name)),
-            }
-        )
+    rows = [{"a random policy": "the paper's", "return": number(paper.number("random_return"))}]
+    for entry in files.read_json(paths.REPO / "data" / "random_policy.json"):
+        returns = np.array(entry["returns"])
+        error = number(returns.std(ddof=1) / len(returns) ** 0.5)
+        text = f"{number(returns.mean())} ± {error}"
+        rows.append({"a random policy": html.escape(entry["reading"]), "return": text})
     return styled(pd.DataFrame(rows))
 
 
-def _motors(torques_n_m: Mapping[str, float]) -> str:
-    """List a body's motors with their torques; of many only how many and the torques' range."""
-    if len(torques_n_m) <= _MOTORS_LISTED:
-        return ", ".join(f"{joint} {torque:g}" for joint, torque in torques_n_m.items())
-    low, high = min(torques_n_m.values()), max(torques_n_m.values())
-    return f"{len(torques_n_m)} of {low:g} to {high:g}"
-
-
-def paper_table(key: str) -> Styler:
-    """Return one table of the paper as it is printed, with where it stands as its caption.
-
-    Args:
-        key: A key of `silem.paper.tables`, e.g. ``"tab4.1"``.
-
-    Raises:
-        SilemError: The paper has no such table.
-    """
-    printed = paper.table(key)
+def coverages(counts: Sequence[int] = (2, 3, 5)) -> Styler:
+    """Return how often a 95 % interval of that many trials holds the true mean, by simulation."""
     rows = []
-    for row in printed.rows:
-        cells = {_heading(name): _cell(value) for name, value in row.items() if name != "parameter"}
-        if "symbol" in row:
-            cells[_heading("symbol")] = _symbol(row["symbol"])
-            cells.pop("Silem only", None)
-            cells["applies to"] = "SILEM" if row.get("silem_only") else "all"
-        rows.append(cells)
-    caption = f"{printed.reference}. {printed.caption} {printed.note}".strip()
-    return styled(pd.DataFrame(rows), caption=caption)
+    for count in counts:
+        row = {"trials": str(count)}
+        for name, kind in (("Student's", "student"), ("bootstrap", "bootstrap")):
+            for failures, scores in ((False, "normal scores"), (True, "one in five fails")):
+                share = statistics.coverage(count, kind, failures=failures)
+                row[f"{name}, {scores}"] = f"{number(100 * share)} %"
+        rows.append(row)
+    return styled(pd.DataFrame(rows), "True coverage of a 95 % interval of the mean")
 
 
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and wall time.
+
+    The second score is against the body's best expert, who demonstrates, not against their mean.
 
     Runs of another number of iterations than planned stand in rows of their own.
 
@@ -116,7 +89,8 @@ def cell_table(frame: pd.DataFrame) -> Styler:
             if not results.is_planned(frame, method, body):
                 continue
             label = style.method(method, results.original_body(frame)).label
-            rows.append(_cell_row(frame, body, label, results.cell(frame, method, body)))
+            best = results.against_best(frame, method, body)
+            rows.append(_cell_row(frame, body, label, results.cell(frame, method, body), best))
             for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
                 planned = runs["planned_iterations"].iloc[0]
                 words = f"{label}, {n:,} iterations (planned: {planned:,})"
@@ -124,7 +98,9 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     return styled(pd.DataFrame(rows))
 
 
-def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) -> dict[str, Any]:
+def _cell_row(
+    frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame, best: ArrayLike = ()
+) -> dict[str, Any]:
     upright = results.upright_label(frame).removeprefix("share of ")
     return {
         "body": body,
@@ -132,44 +108,12 @@ def _cell_row(frame: pd.DataFrame, body: str, label: str, runs: pd.DataFrame) ->
         "trials": len(runs),
         "return": _mean_and_range(runs["return_mean"]),
         "score": _mean_and_range(runs["normalised"], digits=2),
+        "score, best expert": _mean(pd.Series(np.asarray(best)), 2),
         "speed (m/s)": _mean(runs["speed_m_s"], 2),
         upright: _mean(100 * runs["upright"], 0, " %"),
         "discriminator reward": _mean(runs["disc_reward"], 0),
         "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
     }
-
-
-def run_table(frame: pd.DataFrame) -> Styler:
-    """Return one row per run: where a cell has one or two trials, each is worth its own row.
-
-    Args:
-        frame: Runs of one study at one budget.
-    """
-    upright = results.upright_label(frame).removeprefix("share of ")
-    rows = []
-    for run in frame.to_dict("records"):
-        planned = f" (planned: {run['planned_iterations']:,})" if run["stand_in"] else ""
-        rows.append(
-            {
-                "run": _code(run["run_id"]),
-                "iterations": f"{run['n_iterations']:,}{planned}" if run["n_steps"] else DASH,
-                "return": f"{number(run['return_mean'])} ± {number(run['return_std'])}",
-                "score": number(run["normalised"], 2),
-                "speed (m/s)": number(run["speed_m_s"], 2),
-                upright: f"{number(100 * run['upright'])} %",
-                "discriminator reward": number(run["disc_reward"]),
-                "steps/s": number(run["steps_per_s"]),
-                "wall time (min)": number(run["wall_time_s"] / 60, 1),
-                "commit": run["commit"][:7],
-            }
-        )
-    return styled(pd.DataFrame(rows))
-
-
-def missing_table(frame: pd.DataFrame) -> Styler:
-    """Return the planned runs that are not made yet, with the command that makes each."""
-    table = results.missing_runs(frame)[["run_id", "command"]]
-    return styled(table.map(_code).rename(columns={"run_id": "run"}))
 
 
 def styled(table: pd.DataFrame, caption: str = "") -> Styler:
@@ -194,31 +138,6 @@ def styled(table: pd.DataFrame, caption: str = "") -> Styler:
 def _is_numeric(value: Any) -> bool:
     text = re.sub(r"<[^>]*>", " ", str(value))
     return bool(re.match(r"^[\d–−+]", text)) and not re.search(r"[A-Za-z]{3}", text)
-
-
-def _heading(name: str) -> str:
-    """Write a column's name as a heading: symbols in italics, words with a capital."""
-    if name in paper.symbols() or len(name) == 1:
-        return _symbol(name)
-    return name.replace("_", " ").capitalize()
-
-
-def _symbol(name: str) -> str:
-    """Write a symbol in HTML: ``N_Pmb`` with its index below."""
-    letter, _, index = name.partition("_")
-    return f"<i>{letter}<sub>{index}</sub></i>" if index else f"<i>{letter}</i>"
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return ", ".join(_cell(entry) for entry in value)
-    if isinstance(value, str):
-        return html.escape(value)
-    return f"{value:g}".replace("-", "−")
-
-
-def _code(text: str) -> str:
-    return f"<code>{html.escape(text)}</code>"
 
 
 def number(value: float | None, digits: int = 0) -> str:

@@ -161,8 +161,13 @@ def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     assert frames == 6
 
 
+def found_on(body: str, frame: pd.DataFrame) -> float:
+    rows = scorecard.evaluate(frame).set_index("text")
+    return rows.loc[f"SILEM beats SILEM⁻ on {body}", "findings"][0].detectable
+
+
 def test_halfcheetah(execute: Execute, tmp_path: Path) -> None:
-    page = execute("05_halfcheetah", bootstrap_seed=1, video_s=0.2)
+    page = execute("05_halfcheetah", video_s=0.2)
     frame = results.load_records("halfcheetah", "book")
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
@@ -170,10 +175,15 @@ def test_halfcheetah(execute: Execute, tmp_path: Path) -> None:
         for body in ("HC0", "HC1", "HC2"):
             score = results.scores(frame, method, body).mean()
             assert spoken[f"{method.replace('-', '_')}_{body}"] == in_words(score)
-    for cell_id in ("fig-2b", "gaits", "curves", "transforms"):
+    for cell_id in ("fig-2b", "curves", "transforms"):
         assert output(page, cell_id).startswith("<svg")
         assert "commit 0123456" in words(output(page, f"{cell_id}-runs"))
-    missing = words(output(page, "missing"))
+    speeds = results.scores(frame, "ppo", "HC2", "speed_m_s")
+    assert spoken["expert_speed_HC2"] == in_words(speeds.mean())
+    assert spoken["found_HC1"] == in_words(found_on("HC1", frame))
+    assert "−1,555" in words(output(page, "random"))
+    assert "bootstrap" in words(output(page, "coverage"))
+    missing = words(output(page, "missing")).partition("not made yet (")[2]
     absent = 5 * len(MISSING) - sum(MISSING.values())
     assert missing.count("python -m silem run") == absent
     meta, _ = video(output(page, "video"), tmp_path)

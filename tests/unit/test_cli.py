@@ -14,7 +14,7 @@ import pytest
 import silem
 from silem import bodies, cli
 from silem.cli import main, parser
-from silem.report import video
+from silem.report import film
 from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
 from silem.study.settings import BUDGETS
@@ -161,7 +161,7 @@ def test_a_configuration_of_the_wrong_kind_is_one_line(
 def test_the_endings_of_films_are_those_that_can_be_written() -> None:
     for ending in cli.FILM_ENDINGS:
         assert parser().parse_args(["render", "run", "--out", f"x{ending}"]).out.suffix == ending
-    assert sorted(cli.FILM_ENDINGS) == sorted(video._ENCODERS)
+    assert sorted(cli.FILM_ENDINGS) == sorted(film._ENCODERS)
 
 
 OWN = """

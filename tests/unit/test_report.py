@@ -13,31 +13,31 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, boxes, footer, lines_at, texts
+from matplotlib.axes import Axes
+from scipy import stats
 
-from silem import paper
 from silem.report import (
-    claims,
     features,
     figures,
     provenance,
     results,
-    scorecard,
     style,
     tables,
 )
+from silem.study import statistics
 from silem.study.config import RunConfig
 from silem.util.errors import SilemError
 
 FIGURES = figures.OF_STUDY["halfcheetah"]
-CASES = ("whole", "partial", "single", "bad expert", "empty", "tiny")
+CASES = ("whole", "five", "partial", "single", "bad expert", "empty", "tiny")
 
 
 def make(case: str, folder: Path) -> pd.DataFrame:
     """Write one made-up study, and load it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SILEM_DATA_DIR", str(folder))
-        if case == "whole":
-            synthetic.write_study(n_trials=3)
+        if case in ("whole", "five"):
+            synthetic.write_study(n_trials=5 if case == "five" else 3)
         elif case == "partial":
             few = {("silem", "HC2"): 1, ("silem-minus", "HC2"): 0, ("random", "HC1"): 0}
             few |= {("silem-minus-own", "HC1"): 2, ("silem-mlp", "HC0"): 0, ("ppo", "HC1"): 0}
@@ -59,7 +59,7 @@ def make(case: str, folder: Path) -> pd.DataFrame:
     ("frame", "name"),
     [
         *itertools.product(("partial", "empty"), FIGURES),
-        *itertools.product(("whole", "single", "bad expert", "tiny"), ["normalised_scores"]),
+        *itertools.product(("five", "single", "bad expert", "tiny"), ["normalised_scores"]),
     ],
     indirect=["frame"],
 )
@@ -118,14 +118,43 @@ def test_figure_2b_draws_minimum_mean_maximum_and_every_trial(frame: pd.DataFram
     assert values.mean() in marks
 
 
-def test_figure_2b_draws_the_bootstrap_interval(frame: pd.DataFrame) -> None:
-    right = figures.normalised_scores(frame).axes[1]
-    drawn = lines_at(right, style.METHODS["silem"].color)
-    bars = [line.get_ydata() for line in drawn if len(line.get_ydata()) == 2]
-    assert len(bars) == 3
-    values = results.scores(frame, "silem", "HC0")
-    low, high = bars[0]
-    assert values.min() - 1e-9 <= low < values.mean() < high <= values.max() + 1e-9
+def pale(axes: Axes, method: str) -> list[np.ndarray]:
+    """The intervals that a panel draws for a method, lower and upper ends."""
+    drawn = lines_at(axes, style.METHODS[method].color)
+    return [line.get_ydata() for line in drawn if line.get_alpha() and len(line.get_ydata()) == 2]
+
+
+@pytest.mark.parametrize("frame", ["five"], indirect=True)
+def test_figure_2b_draws_students_interval_with_its_coverage(frame: pd.DataFrame) -> None:
+    figure_frame, figure = frame, figures.normalised_scores(frame)
+    for axes, column in zip(figure.axes, ("normalised", "speed_m_s"), strict=True):
+        first = pale(axes, "silem")[0]
+        values = results.scores(frame, "silem", "HC0", column)
+        np.testing.assert_allclose(first, stats.ttest_1samp(values, 0).confidence_interval())
+    words = footer(figure)
+    for failures in (False, True):
+        assert f"{100 * statistics.coverage(5, failures=failures):.0f} %" in words
+    assert "do not hold the variance of the demonstrator" in words
+    for method in ("silem", "silem-minus", "silem-minus-own"):  # the experts alone have five
+        frame = frame[frame["method"] != method]
+    frame.attrs = figure_frame.attrs
+    assert "Student's 95 %" in footer(figures.normalised_scores(frame))
+
+
+@pytest.mark.parametrize("frame", ["whole", "single", "empty"], indirect=True)
+def test_figures_draw_no_interval_below_five_trials(frame: pd.DataFrame) -> None:
+    figure = figures.normalised_scores(frame)
+    assert not any(pale(axes, method) for axes in figure.axes for method in style.METHODS)
+    assert "no interval below 5 trials" in footer(figure)
+
+
+def test_figure_2b_shows_the_best_expert_and_the_speeds(frame: pd.DataFrame) -> None:
+    left, right = figures.normalised_scores(frame).axes
+    dots = [line.get_ydata()[0] for line in lines_at(left, style.INK)]
+    assert dots == [results.scores(frame, "ppo", body).max() for body in ("HC0", "HC1", "HC2")]
+    expert = [line.get_ydata() for line in right.lines if line.get_marker() == "P"]
+    speeds = [results.scores(frame, "ppo", b, "speed_m_s").mean() for b in ("HC0", "HC1", "HC2")]
+    assert [y[0] for y in expert] == speeds
 
 
 @synthetic.study("single")
@@ -139,28 +168,28 @@ def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> Non
             ]
             assert [mark.get_markerfacecolor() for mark in marks] == ["white"] * 3
             assert not [line for line in drawn if len(line.get_ydata()) > 1]
-    assert texts(figure).count("n=1") == 18
+    assert texts(figure).count("n=1") == 9 + 12
     assert "one trial" in footer(figure)
 
 
 @synthetic.study("partial")
 def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) -> None:
     words = texts(figures.normalised_scores(frame))
-    assert words.count("no run") == 2  # SILEM-minus on HC2, in both panels
-    assert words.count("no expert") == 2 * 3  # HC1's runs cannot be normalised
+    assert words.count("no run") == 3  # SILEM-minus on HC2, in both panels; HC1's expert
+    assert words.count("no expert") == 3  # HC1's runs cannot be normalised
     assert {"n=1", "n=3"} <= set(words)
 
 
 @synthetic.study("bad expert")
 def test_an_expert_below_zero_is_no_scale(frame: pd.DataFrame) -> None:
     words = texts(figures.normalised_scores(frame))
-    assert words.count("expert's return ≤ 0") == 2 * 3
-    assert any(word.startswith("HC2\nexpert −1,") for word in words)
+    assert words.count("expert's return ≤ 0") == 3
+    assert any(word.startswith("HC2\nexperts −1,") for word in words)
 
 
 @synthetic.study("empty")
 def test_figures_without_any_run_are_all_empty_slots(frame: pd.DataFrame) -> None:
-    assert texts(figures.normalised_scores(frame)).count("no run") == 18
+    assert texts(figures.normalised_scores(frame)).count("no run") == 9 + 12
     assert texts(figures.experts(frame)).count("no run") == 18
     assert texts(figures.learning_curves(frame)).count("no run") == 9
     assert "HC1, no run" in texts(figures.transforms(frame))
@@ -257,29 +286,6 @@ def test_cell_table_has_a_row_for_every_planned_cell(frame: pd.DataFrame) -> Non
     assert len(table) == 16
     row = table.query("body == 'HC2' and method == 'SILEM⁻ (HC0 expert)'").iloc[0]
     assert (row["trials"], row["return"], row["score"]) == (0, "–", "–")
-    assert len(tables.run_table(frame).data) == len(frame)
-    assert len(tables.missing_table(frame).data) == len(frame.attrs["missing"]) > 0
-
-
-def test_paper_tables_are_printed_whole() -> None:
-    for key, printed in paper.tables().items():
-        page = re.sub(r"<[^>]*>", " ", tables.paper_table(key).to_html())
-        assert printed.label in page
-        assert tables.paper_table(key).data.shape[0] == len(printed.rows)
-    assert "256" in tables.paper_table("tab4.2").to_html()
-    assert "N<sub>Pmb</sub>" in tables.paper_table("tab4.1").to_html()
-
-
-def test_tables_do_not_style_each_other_and_never_change_by_themselves() -> None:
-    ids = [re.findall(r'id="(T_\w+)"', tables.paper_table(k).to_html())[0] for k in paper.tables()]
-    assert len(set(ids)) == len(ids)
-    assert tables.paper_table("tab4").to_html() == tables.paper_table("tab4").to_html()
-
-
-def test_body_table_shows_what_sets_bodies_apart() -> None:
-    table = tables.body_table(["HC0", "HC2"]).data.set_index("body")
-    assert table.loc["HC2", "what sets it apart (m)"].endswith("3")
-    assert float(table.loc["HC2", "mass (kg)"]) > float(table.loc["HC0", "mass (kg)"])
 
 
 @synthetic.study("partial")
@@ -316,99 +322,35 @@ def test_trace_of_no_runs_lists_what_to_make(frame: pd.DataFrame) -> None:
     assert "0 runs" in page and "python -m silem run --body HC0 --method ppo" in page
 
 
-# ---------------------------------------------------------------- verdicts
+def test_tables_do_not_style_each_other_and_never_change_by_themselves() -> None:
+    pages = [tables.styled(pd.DataFrame({"a": [text]})).to_html() for text in ("x", "y", "x")]
+    ids = [re.findall(r'id="(T_\w+)"', page)[0] for page in pages]
+    assert ids[0] != ids[1] and pages[0] == pages[2]
 
 
-@pytest.mark.parametrize(
-    ("interval", "lower", "upper", "verdict"),
-    [
-        ((1.0, 2.0), 0.5, np.inf, claims.HOLDS),
-        ((1.0, 2.0), 1.5, np.inf, claims.UNDECIDED),
-        ((1.0, 2.0), 2.5, np.inf, claims.FAILS),
-        ((1.0, 2.0), -np.inf, 2.5, claims.HOLDS),
-        ((1.0, 2.0), -np.inf, 0.5, claims.FAILS),
-        ((1.0, 2.0), 0.9, 2.1, claims.HOLDS),
-        ((1.0, 2.0), 1.1, 1.9, claims.UNDECIDED),
-        ((1.0, 2.0), 3.0, 4.0, claims.FAILS),
-    ],
-)
-def test_verdict_rule(
-    interval: tuple[float, float], lower: float, upper: float, verdict: str
-) -> None:
-    finding = claims.Finding(1.5, interval, {"SILEM": 5}, lower, upper)
-    assert finding.verdict[0] == verdict
-    few = claims.Finding(1.5, interval, {"SILEM": 5, "expert": 2}, lower, upper)
-    assert few.verdict == (claims.UNDECIDED, "fewer than 3 trials")
+def test_the_best_expert_is_a_scale_of_its_own(frame: pd.DataFrame) -> None:
+    best = results.scores(frame, "ppo", "HC1", "return_mean").max()
+    ours = results.scores(frame, "silem", "HC1", "return_mean") / best
+    np.testing.assert_allclose(results.against_best(frame, "silem", "HC1"), ours)
+    table = tables.cell_table(frame).data.set_index(["body", "method"])
+    assert table.loc[("HC1", "SILEM"), "score, best expert"] == f"{ours.mean():.2f}"
 
 
-def verdict(frame: pd.DataFrame, start: str) -> str:
-    rows = scorecard.evaluate(frame).set_index("claim")
-    (name,) = [claim for claim in rows.index if claim.startswith(start)]
-    return str(rows.loc[name, "verdict"])
+@synthetic.study("bad expert")
+def test_without_a_good_expert_there_is_no_scale(frame: pd.DataFrame) -> None:
+    assert len(results.against_best(frame, "silem", "HC2")) == 0
 
 
-def test_scorecard_reads_the_records(frame: pd.DataFrame) -> None:
-    rows = scorecard.evaluate(frame).set_index("claim")
-    random = rows.loc["Return of a random policy on HC0"]
-    assert (random["paper"], random["trials"], random["verdict"]) == (
-        -1555, "episodes 100", claims.HOLDS,
-    )  # fmt: skip
-    assert random["ours"] == pytest.approx(
-        results.cell(frame, "random", "HC0")["return_mean"].item(), abs=1e-2
-    )
-    silem = rows.loc["SILEM reaches expert level on HC2"]
-    assert silem["ours"] == pytest.approx(results.scores(frame, "silem", "HC2").mean())
-    assert silem["low"] < silem["ours"] < silem["high"]
-    assert verdict(frame, "SILEM beats SILEM⁻ on HC1") == claims.HOLDS
-    assert verdict(frame, "Without the transform imitation degrades on HC2") == claims.HOLDS
-    assert verdict(frame, "The affine transform leads to the better policy") == claims.HOLDS
+def test_readings_of_a_random_policy_stand_beside_the_papers_number() -> None:
+    table = tables.random_policies().data.set_index("a random policy")["return"]
+    assert table["the paper's"] == "−1,555"
+    returns = {name: float(text.partition(" ")[0].replace("−", "-").replace(",", ""))
+               for name, text in table.items()}  # fmt: skip
+    untrained, clipped = [name for name in returns if "untrained" in name or "clipped" in name]
+    assert abs(returns[untrained] + 1555) < 100 < abs(returns[clipped] + 1555)
 
 
-def test_scorecard_finds_claims_that_do_not_hold(frame: pd.DataFrame) -> None:
-    swapped = frame.copy()
-    swapped.attrs = frame.attrs
-    names = {"silem": "silem-minus", "silem-minus": "silem"}
-    swapped["method"] = [names.get(name, name) for name in frame["method"]]
-    assert verdict(swapped, "SILEM beats SILEM⁻ on HC1") == claims.FAILS
-    assert verdict(swapped, "SILEM reaches expert level on HC1") == claims.FAILS
-    assert verdict(swapped, "SILEM reaches expert level on HC2") == claims.FAILS
-    shifted = frame.assign(disc_reward=frame["disc_reward"] + 300)
-    shifted.attrs = frame.attrs
-    assert verdict(shifted, "Discriminator reward of SILEM") == claims.FAILS
-
-
-@pytest.mark.parametrize("frame", ["single", "empty", "tiny"], indirect=True)
-def test_scorecard_decides_nothing_on_too_little(frame: pd.DataFrame) -> None:
-    rows = scorecard.evaluate(frame)
-    decided = rows[rows["verdict"] != claims.UNDECIDED]
-    # The random policy is not trained: its episodes are enough, at a budget that is evidence.
-    allowed = {"Return of a random policy on HC0"} if len(frame) == 16 else set()
-    if results.context(frame)[1] == "tiny":
-        allowed = set()
-        assert set(rows["reason"]) == {"runs at budget tiny are no evidence"}
-    assert set(decided["claim"]) <= allowed
-
-
-def test_expert_level_counts_the_experts_own_spread(frame: pd.DataFrame) -> None:
-    """Spread among the experts alone widens the interval; dividing by their mean would not."""
-    rows = frame["method"].eq("ppo") & frame["body"].eq("HC0")
-    wide = frame.copy()
-    wide.attrs = frame.attrs
-    level = frame.loc[rows, "return_mean"].mean()
-    wide.loc[rows, "return_mean"] = level + np.array([-600.0, 0.0, 600.0])
-    name = "SILEM reaches expert level on HC0"
-    spans = [
-        (row["high"] - row["low"], row["ours"])
-        for row in (scorecard.evaluate(t).set_index("claim").loc[name] for t in (frame, wide))
-    ]
-    assert spans[1][0] > 3 * spans[0][0]
-    assert spans[1][1] == pytest.approx(spans[0][1])
-
-
-def test_scorecard_table_shows_every_claim_with_its_rule(frame: pd.DataFrame) -> None:
-    page = scorecard.table(frame).to_html()
-    judged = claims.of("halfcheetah")
-    for claim in judged:
-        assert claim.text in page and claim.rule in page
-    assert sum(scorecard.counts(frame).values()) == len(judged)
-    assert page.count("background-color") >= 2
+def test_intervals_true_coverage_is_told() -> None:
+    rows = tables.coverages().data.set_index("trials")
+    assert rows.loc["2", "bootstrap, normal scores"] == "50 %"
+    assert set(rows["Student's, normal scores"]) == {"95 %"}

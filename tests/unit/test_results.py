@@ -37,7 +37,7 @@ def frame(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pd.DataFrame]:
 def test_every_planned_run_is_either_a_row_or_missing(frame: pd.DataFrame) -> None:
     # 13 trained cells of 5 trials and the random policy once per body, less 4 and 5 missing ones.
     assert len(frame) == 13 * len(TRIAL_SEEDS) + 3 - 9
-    missing = results.missing_runs(frame)
+    missing = pd.DataFrame(frame.attrs["missing"])
     assert len(missing) == 9
     assert set(missing["method"]) == {"silem", "silem-minus"}
     assert set(missing["body"]) == {"HC2"}
@@ -80,7 +80,7 @@ def test_without_an_expert_there_are_no_scores(data: Path) -> None:
 def test_no_records_give_an_empty_table_with_everything_missing(data: Path) -> None:
     frame = results.load_records("halfcheetah", "tiny")
     assert len(frame) == 0 and list(frame.columns) == results.COLUMNS
-    assert len(results.missing_runs(frame)) == 16
+    assert len(pd.DataFrame(frame.attrs["missing"])) == 16
     assert results.body_names(frame) == ["HC0", "HC1", "HC2"]
 
 

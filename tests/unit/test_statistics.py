@@ -4,108 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from silem.study import statistics
-from silem.util.errors import SilemError
-
-# Four trials of two cells.
-SCORES = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [6.0, 80.0]])
-
-
-def rng(seed: int = 0) -> np.random.Generator:
-    return np.random.default_rng(seed)
-
-
-def test_interquartile_mean_by_hand() -> None:
-    # One of four is cut at either end of each column; two of eight when all are taken together.
-    np.testing.assert_allclose(statistics.interquartile_mean(SCORES.T), [2.5, 25.0])
-    assert statistics.interquartile_mean(SCORES.ravel()) == (3 + 6 + 10 + 20) / 4
-    assert statistics.interquartile_mean([5.0, 1.0, 100.0, 2.0, 3.0]) == (2 + 3 + 5) / 3
-    assert statistics.interquartile_mean([1.0, 2.0, 9.0]) == 4.0  # too few to cut any
-
-
-def test_interquartile_mean_ignores_an_outlier_that_moves_the_mean() -> None:
-    scores = [1.0, 1.0, 1.0, 1.0, 1000.0]
-    assert statistics.interquartile_mean(scores) == 1.0
-    assert statistics.mean(scores) > 200.0
-
-
-def test_summary_by_hand() -> None:
-    summary = statistics.summarise(SCORES[:, 0], rng())
-    assert (summary.minimum, summary.mean, summary.maximum) == (1.0, 3.0, 6.0)
-    assert (summary.n_trials, summary.iqm) == (4, 2.5)
-    assert 1.0 <= summary.interval[0] < 2.5 < summary.interval[1] <= 6.0
-
-
-def test_missing_trials_are_left_out_and_counted() -> None:
-    summary = statistics.summarise([1.0, np.nan, 3.0], rng())
-    assert (summary.n_trials, summary.mean) == (2, 2.0)
-
-
-@pytest.mark.parametrize("scores", [[7.0], [7.0, np.nan]])
-def test_one_trial_has_no_interval(scores: list[float]) -> None:
-    summary = statistics.summarise(scores, rng())
-    assert (summary.n_trials, summary.mean, summary.iqm) == (1, 7.0, 7.0)
-    assert np.isnan(summary.interval).all()
-    assert np.isnan(statistics.mean_interval(scores)).all()
-    assert np.isnan(statistics.difference_interval(scores, [1.0, 2.0])).all()
-    # One cell with a single trial leaves the whole matrix without an interval.
-    matrix = np.array([[1.0, 5.0], [2.0, np.nan], [3.0, np.nan]])
-    assert np.isnan(statistics.stratified_bootstrap_interval(matrix, rng())).all()
-
-
-def test_bootstrap_of_two_trials_by_hand() -> None:
-    # Resampling {0, 1} twice gives means 0, 1/2, 1 with probabilities 1/4, 1/2, 1/4.
-    interval = statistics.stratified_bootstrap_interval([0.0, 1.0], rng(), level=0.4)
-    assert interval == (0.5, 0.5)
-    assert statistics.stratified_bootstrap_interval([0.0, 1.0], rng()) == (0.0, 1.0)
-
-
-def test_strata_keep_their_trials() -> None:
-    """Two cells without spread: stratified, nothing varies; pooled, the cells' share would."""
-    scores = np.array([[0.0, 100.0]] * 4)
-    interval = statistics.stratified_bootstrap_interval(scores, rng(), statistics.mean)
-    assert interval == (50.0, 50.0)
-    pooled = statistics.stratified_bootstrap_interval(scores.ravel(), rng(), statistics.mean)
-    assert pooled[0] < 50.0 < pooled[1]
-
-
-def test_the_generator_alone_decides_the_interval() -> None:
-    scores = rng(3).normal(size=(5, 2))
-    same = [statistics.stratified_bootstrap_interval(scores, rng(7)) for _ in range(2)]
-    other = statistics.stratified_bootstrap_interval(scores, rng(8))
-    assert same[0] == same[1] != other
-
-
-def coverage(n_trials: int, kind: str, true: float = 0.0, n_studies: int = 400) -> float:
-    """Share of simulated studies (normal scores of mean 0) whose interval holds `true`."""
-    generator = rng(1)
-    hits = 0
-    for _ in range(n_studies):
-        scores = generator.normal(size=n_trials)
-        if kind == "student":
-            low, high = statistics.mean_interval(scores)
-        else:
-            low, high = statistics.stratified_bootstrap_interval(
-                scores, generator, statistics.mean, n_resamples=500
-            )
-        hits += low <= true <= high
-    return hits / n_studies
-
-
-def test_intervals_cover_what_they_promise() -> None:
-    assert 0.92 <= coverage(5, "student") <= 0.98
-    assert 0.92 <= coverage(3, "student") <= 0.98
-    assert 0.91 <= coverage(30, "bootstrap") <= 0.98
-
-
-def test_intervals_do_not_cover_what_is_wrong() -> None:
-    assert coverage(30, "bootstrap", true=1.0) < 0.05
-    assert coverage(30, "student", true=1.0) < 0.05
-
-
-def test_the_bootstrap_of_five_trials_is_too_short_as_its_docstring_says() -> None:
-    assert 0.78 <= coverage(5, "bootstrap") <= 0.88
 
 
 def test_mean_interval_by_hand() -> None:
@@ -122,19 +23,68 @@ def test_difference_interval_by_hand() -> None:
     assert statistics.difference_interval([2.0, 2.0], [1.0, 1.0]) == (1.0, 1.0)
 
 
-def test_probability_of_improvement_by_hand() -> None:
-    # Pairs: 1 < 2, 1 < 3, 4 > 2, 4 > 3 and one tie of 3 with 3.
-    assert statistics.probability_of_improvement([1.0, 4.0], [2.0, 3.0]) == 0.5
-    assert statistics.probability_of_improvement([3.0, 4.0], [2.0, 3.0]) == (3 + 0.5) / 4
-    assert np.isnan(statistics.probability_of_improvement([np.nan], [1.0]))
+def test_intervals_are_scipys(rng: np.random.Generator) -> None:
+    one, two = rng.normal(size=5), rng.normal(2, 3, size=4)
+    welch = stats.ttest_ind(one, two, equal_var=False).confidence_interval()
+    np.testing.assert_allclose(statistics.difference_interval(one, two), welch)
+    np.testing.assert_allclose(
+        statistics.mean_interval(one), stats.ttest_1samp(one, 0).confidence_interval()
+    )
 
 
-@pytest.mark.parametrize("scores", [[1.0, np.inf], np.zeros((2, 2, 2)), np.zeros((3, 0))])
-def test_bad_scores_are_refused(scores: object) -> None:
-    with pytest.raises(SilemError):
-        statistics.stratified_bootstrap_interval(scores, rng())  # type: ignore[arg-type]
+def test_one_trial_has_neither_interval_nor_power() -> None:
+    assert np.isnan(statistics.mean_interval([7.0])).all()
+    assert np.isnan(statistics.mean_interval([])).all()
+    assert np.isnan(statistics.difference_interval([7.0], [1.0, 2.0])).all()
+    assert np.isnan(statistics.detectable([7.0], [1.0, 2.0], n_trials=5))
 
 
-def test_a_cell_without_a_trial_has_no_summary() -> None:
-    with pytest.raises(SilemError, match="without a trial"):
-        statistics.summarise([np.nan], rng())
+def test_wins_by_hand() -> None:
+    # Pairs: 1 < 2, 1 < 3, 4 > 2, 4 > 3; then one tie of 3 with 3.
+    assert statistics.wins([1.0, 4.0], [2.0, 3.0]) == 0.5
+    assert statistics.wins([3.0, 4.0], [2.0, 3.0]) == (3 + 0.5) / 4
+    assert np.isnan(statistics.wins([], [1.0]))
+
+
+@pytest.mark.parametrize("two", [False, True])
+def test_what_is_detectable_is_found_in_four_of_five_studies(
+    two: bool, rng: np.random.Generator
+) -> None:
+    seen = np.array([-1.0, 0.0, 1.0])  # standard deviation 1
+    distance = statistics.detectable(*[seen] * (1 + two), n_trials=5)
+    found = {0.0: 0, distance: 0}
+    for true in found:
+        for _ in range(2000):
+            scores, other = rng.normal(true, 1, size=5), rng.normal(0, 1, size=5)
+            if two:
+                low, _ = statistics.difference_interval(scores, other)
+            else:
+                low, _ = statistics.mean_interval(scores)
+            found[true] += low > 0
+    assert 0.77 <= found[distance] / 2000 <= 0.83
+    assert found[0.0] / 2000 < 0.05  # nothing there is rarely found
+    fewer = statistics.detectable(*[seen] * (1 + two), n_trials=3)
+    assert fewer > distance  # fewer trials find less
+    assert statistics.detectable(10 * seen, n_trials=5) == pytest.approx(
+        10 * statistics.detectable(seen, n_trials=5)
+    )
+
+
+def test_students_interval_covers_what_it_promises_for_normal_scores_only() -> None:
+    for n_trials in (2, 3, 5, 30):
+        assert statistics.coverage(n_trials) == pytest.approx(0.95, abs=0.01)
+    assert statistics.coverage(5, failures=True) < 0.9
+
+
+def test_the_bootstrap_of_few_trials_is_too_short() -> None:
+    # Of two trials the resampled means reach from the lower to the higher: half of all studies.
+    assert statistics.coverage(2, "bootstrap") == pytest.approx(0.5, abs=0.02)
+    few = [statistics.coverage(n, "bootstrap") for n in (2, 3, 5)]
+    assert few == sorted(few) and few[-1] < 0.87
+    assert statistics.coverage(30, "bootstrap") > 0.92
+
+
+def test_coverage_is_the_same_on_every_call() -> None:
+    first = statistics.coverage(3, failures=True)
+    statistics.coverage.cache_clear()
+    assert statistics.coverage(3, failures=True) == first

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,43 +10,40 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from silem.report import results, style
-from silem.study.statistics import Summary
-
-Draw = Callable[[Axes, float, np.ndarray, str, str], None]
-"""Draws values (N,) of a method on a body at a place on the x axis."""
+from silem.study import statistics
 
 LEVEL_DASHES = (0, (4, 3))
+INTERVAL_TRIALS = 5
+"""Trials below which no figure draws an interval."""
+
 OTHER_LENGTH = "shorter or longer run"
-_DOTS = 0.085  # the single trials stand this far right of their cell's range
+_DOTS_IN = 0.1  # the single trials stand this far right of their cell's range
 
 
-def draw_cells(
-    axes: Axes,
-    frame: pd.DataFrame,
-    methods: Sequence[str],
-    column: str,
-    draw: Draw,
-) -> None:
+def draw_cells(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
     """Draw every cell of a panel: bodies along the x axis, a slot for each method.
+
+    A cell without values is an empty slot with the reason. Runs of another number of iterations
+    than planned are crosses in either case.
 
     Args:
         axes: The panel.
         frame: The runs.
         methods: The methods, left to right.
         column: The column of the table to draw.
-        draw: Draws one cell that has values; a cell without becomes an empty slot with the reason.
-            Runs of another number of iterations than planned are crosses in either case.
     """
     for x, method, body in places(frame, methods):
         values = results.scores(frame, method, body, column)
         crosses = results.stand_ins(frame, method, body)[column].dropna()
         if len(values):
-            draw(axes, x, values, method, body)
+            draw_range(axes, x, values, method)
         elif crosses.empty:
             style.empty_slot(axes, x, _reason(frame, method, body))
-        _draw_crosses(axes, x, crosses, style.method(method))
+        cross: dict[str, Any] = {"ms": 6.5, "mew": 1.8, "color": style.method(method).color}
+        axes.plot(np.full(len(crosses), x), crosses, "x", zorder=5, **cross)
 
 
 def places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
@@ -57,24 +54,43 @@ def places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float,
             yield body_index + (index - (len(methods) - 1) / 2) * width, method, body
 
 
-def draw_range(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
-    """Draw minimum, mean and maximum over trials, and the trials; hollow for a single one."""
+def draw_range(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
+    """Draw minimum, mean and maximum over trials, and the trials; hollow for a single one.
+
+    From `INTERVAL_TRIALS` on a pale bar behind them is Student's 95 % t interval of the mean.
+    """
     look = style.method(method)
+    if len(values) >= INTERVAL_TRIALS:
+        interval = statistics.mean_interval(values)
+        axes.plot([x, x], interval, color=look.color, lw=7, alpha=0.3, solid_capstyle="butt")
     if len(values) > 1:
         ends = values.min(), values.max()
         axes.plot([x, x], ends, color=look.color, lw=1.6)
         for end in ends:
             axes.plot([x - 0.045, x + 0.045], [end, end], color=look.color, lw=1.6)
-        places = np.full(len(values), x + _DOTS)
-        axes.plot(places, values, "o", ms=3, color=look.color, alpha=0.6, mec="none")
-    draw_mark(axes, x, float(values.mean()), look, hollow=len(values) == 1)
+        beside = axes.transData + ScaledTranslation(_DOTS_IN, 0, axes.figure.dpi_scale_trans)
+        dots: dict[str, Any] = {"ms": 3, "color": look.color, "alpha": 0.6, "mec": "none"}
+        axes.plot(np.full(len(values), x), values, "o", transform=beside, **dots)
+    single = len(values) == 1 and method != "random"  # which is not trained
+    draw_mark(axes, x, float(values.mean()), look, hollow=single)
 
 
-def draw_interval(axes: Axes, x: float, summary: Summary, look: style.MethodStyle) -> None:
-    """Draw the interquartile mean and its interval; hollow for a single trial."""
-    if summary.n_trials > 1:
-        axes.plot([x, x], summary.interval, color=look.color, lw=5, alpha=0.35)
-    draw_mark(axes, x, summary.iqm, look, hollow=summary.n_trials == 1)
+def interval_note(frame: pd.DataFrame, methods: Sequence[str], column: str) -> str:
+    """Say what `draw_range` draws, and what its intervals are worth, by simulation."""
+    counts = [len(results.scores(frame, m, body, column)) for _, m, body in places(frame, methods)]
+    enough = [count for count in counts if count >= INTERVAL_TRIALS]
+    note = ["hollow: one trial"] if 1 in counts else []
+    if not enough:
+        return "; ".join([*note, f"no interval below {INTERVAL_TRIALS} trials"])
+    normal, failing = (statistics.coverage(min(enough), failures=f) for f in (False, True))
+    note.append(
+        f"pale bars: Student's 95 % t interval of the mean over {min(enough)} trials or more, which"
+        f" in simulated studies holds the true mean in {100 * normal:.0f} % for normal scores and"
+        f" in {100 * failing:.0f} % where one training in five fails"
+    )
+    if set(methods) - {"ppo", "random"}:
+        note.append("they do not hold the variance of the demonstrator, which all imitators share")
+    return "; ".join(note)
 
 
 def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow: bool) -> None:
@@ -83,11 +99,6 @@ def draw_mark(axes: Axes, x: float, y: float, look: style.MethodStyle, *, hollow
     width = 1.6 if hollow else 0.8
     line: dict[str, Any] = {"color": look.color, "marker": look.marker, "ms": 7.5, "zorder": 5}
     axes.plot([x], [y], mfc=face, mec=edge, mew=width, **line)
-
-
-def _draw_crosses(axes: Axes, x: float, values: pd.Series, look: style.MethodStyle) -> None:
-    """Draw runs of another number of iterations than planned, as crosses in the method's colour."""
-    axes.plot(np.full(len(values), x), values, "x", ms=6.5, mew=1.8, color=look.color, zorder=5)
 
 
 def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:

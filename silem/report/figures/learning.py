@@ -1,7 +1,8 @@
-"""Learning curves over timesteps, of every method on every body of a study."""
+"""Learning curves: of every method on every body of a study, and of one body in several studies."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ _QUANTITIES = {
     "disc_reward": "discriminator reward",
     "speed_m_s": "forward speed (m/s)",
 }
-_DASHES = (0, (3, 2))
+_DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)))
 _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
 
@@ -41,50 +42,92 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     frame = sources.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
-    quantities = _rows(names[0], drawn)
-    looks = [style.method(m, results.original_body(frame)) for m in drawn]
+    left_out = {"disc_reward"} if drawn == ["ppo"] else set()  # whose panels would all be empty
+    left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
+    quantities = [name for name in _QUANTITIES if name not in left_out]
     with style.applied():
         figure, grid = style.new_figure(
             2.0 * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
             sharey="row", squeeze=False,
         )  # fmt: skip
-        for column, body in enumerate(names):
+        for column, body in zip(grid.T, names, strict=True):
             curves = {m: _curves(results.cell(frame, m, body)) for m in drawn}
             others = {m: _curves(results.stand_ins(frame, m, body)) for m in drawn}
-            grid[0, column].set_title(body)
-            for row, quantity in enumerate(quantities):
-                _draw_curves(grid[row, column], curves, others, quantity)
-            grid[-1, column].set_xlabel("million timesteps")
-        for row, label in enumerate(quantities.values()):
-            grid[row, 0].set_ylabel(label)
+            column[0].set_title(body)
+            for axes, quantity in zip(column, quantities, strict=True):
+                _draw_means(axes, curves, others, quantity)
+            column[-1].set_xlabel("million timesteps")
+            if not any(axes.lines for axes in column):
+                column[-1].set_xticks([])  # a scale without a curve means nothing
+        for row, quantity in zip(grid, quantities, strict=True):
+            row[0].set_ylabel(_QUANTITIES[quantity])
+            if not any(axes.lines for axes in row):
+                row[0].set_yticks([])
         grid[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
-        handles = [Line2D([], [], color=k.color, lw=2.2, label=k.label) for k in looks]
-        if frame["stand_in"].any():
-            handles.append(Line2D([], [], color=style.MUTED, ls=_DASHES, label=cells.OTHER_LENGTH))
-        if handles:
-            figure.legend(handles=handles, loc="outside upper left", ncols=3)
-        _hide_made_up_ticks(grid)
+        dashes = [(cells.OTHER_LENGTH, _DASHES[1])] if frame["stand_in"].any() else []
+        _legend(figure, drawn, results.original_body(frame), dashes, ncols=3)
         figure.align_ylabels(grid[:, 0])
         figure.align_xlabels(grid[-1])
-        sources.footer(figure, frame, f"trials per curve: {_counts(frame)}")
+        counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
+        low, high = (counts.min(), counts.max()) if len(counts) else (0, 0)
+        several = str(low) if low == high else f"{low} to {high}"
+        sources.footer(figure, frame, f"trials per curve: {several}")
     return figure
 
 
-def _rows(body: str, methods: list[str]) -> dict[str, str]:
-    """Choose the quantities that the bodies of a study have, with their labels."""
-    left_out = set()
-    if methods == ["ppo"]:  # which has no discriminator: a row of empty panels would only say so
-        left_out.add("disc_reward")
-    if bodies.get(body).family != "humanoid":
-        left_out.add("episode_length")
-    return {name: label for name, label in _QUANTITIES.items() if name not in left_out}
+def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
+    """Draw runs of some tables over iterations: a colour per method, a dash per table.
+
+    Every run is a line of its own, whatever its number of iterations; nothing is smoothed. An
+    iteration's value is the mean over the episodes that ended in it.
+
+    Args:
+        groups: One to three tables of `results.load_records` by what to call them, all of one body.
+    """
+    first = next(iter(groups.values()))
+    methods = {name for frame in groups.values() for name in frame["method"]}
+    drawn = [name for name in style.METHODS if name in methods]
+    with style.applied():
+        figure, grid = style.new_figure(4.6, nrows=2, ncols=2, sharex=True)
+        for axes, (quantity, title) in zip(grid.flat, _QUANTITIES.items(), strict=True):
+            axes.set_title(title.capitalize())
+            for dashes, frame in zip(_DASHES, groups.values(), strict=False):
+                for run in frame[frame["n_steps"] > 0].itertuples():
+                    curve = results.load_curve(run.run_id)[["iteration", quantity]].dropna()
+                    color = style.method(run.method).color
+                    axes.plot(curve["iteration"], curve[quantity], color=color, ls=dashes, lw=1.6)
+            if not axes.lines:
+                axes.set(xticks=[], yticks=[])
+                _say(axes, "no run")
+        for axes in grid[1]:
+            axes.set_xlabel("iteration")
+        named = [f"{name}: {style.trials(len(frame))}" for name, frame in groups.items()]
+        others = list(zip(named, _DASHES, strict=False))
+        _legend(figure, drawn, results.original_body(first), others, ncols=2)
+        sources.footer(figure, first, "every run is a line of its own, unsmoothed", runs=False)
+    return figure
+
+
+def _legend(
+    figure: Figure,
+    methods: Sequence[str],
+    original: str,
+    dashes: Sequence[tuple[str, Any]],
+    ncols: int,
+) -> None:
+    """Name the methods' colours, and then what dashes mean."""
+    looks = [style.method(name, original) for name in methods]
+    handles = [Line2D([], [], color=look.color, lw=2.2, label=look.label) for look in looks]
+    handles += [Line2D([], [], color=style.MUTED, ls=ls, label=label) for label, ls in dashes]
+    if handles:
+        figure.legend(handles=handles, loc="outside upper left", ncols=ncols)
 
 
 def _curves(rows: pd.DataFrame) -> list[pd.DataFrame]:
     return [results.load_curve(run_id) for run_id in rows["run_id"]]
 
 
-def _draw_curves(
+def _draw_means(
     axes: Axes,
     curves: dict[str, list[pd.DataFrame]],
     others: dict[str, list[pd.DataFrame]],
@@ -94,33 +137,24 @@ def _draw_curves(
     axes.margins(x=0.01)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     for method, trials in curves.items():
-        look = style.method(method)
+        color = style.method(method).color
         for curve in others[method]:
             x, values = _on_one_grid([curve], quantity)
             if len(values):
-                axes.plot(x / 1e6, values[0], color=look.color, lw=1.2, ls=_DASHES)
+                axes.plot(x / 1e6, values[0], color=color, lw=1.2, ls=_DASHES[1])
         x, values = _on_one_grid(trials, quantity)
-        if len(values) == 0:
-            continue
-        axes.plot(x / 1e6, values.mean(axis=0), color=look.color, lw=1.5)
+        if len(values):
+            axes.plot(x / 1e6, values.mean(axis=0), color=color, lw=1.5)
         if len(values) > 1:
             span = values.min(axis=0), values.max(axis=0)
-            axes.fill_between(x / 1e6, *span, color=look.color, alpha=0.16, lw=0)
+            axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
     if not axes.lines:
-        runs = [*curves.values(), *others.values()]
-        word = "not recorded" if any(runs) else "no run"
-        middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
-        axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
+        _say(axes, "not recorded" if any([*curves.values(), *others.values()]) else "no run")
 
 
-def _hide_made_up_ticks(grid: np.ndarray) -> None:
-    """Take the ticks off rows and columns of panels without a curve: their scale means nothing."""
-    for row in grid:
-        if not any(axes.lines for axes in row):
-            row[0].set_yticks([])
-    for column in grid.T:
-        if not any(axes.lines for axes in column):
-            column[-1].set_xticks([])
+def _say(axes: Axes, word: str) -> None:
+    middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+    axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
 
 
 def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -142,9 +176,3 @@ def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray,
         for curve in known
     ]  # fmt: skip
     return x, np.stack(values)
-
-
-def _counts(frame: pd.DataFrame) -> str:
-    counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
-    low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
-    return str(low) if low == high else f"{low} to {high}"

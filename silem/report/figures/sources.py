@@ -20,7 +20,6 @@ _ALL = tuple(dict.fromkeys((*IMITATORS, *COMPARED)))
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "normalised_scores": (("ppo", *_ALL), None),
-    "gaits": (("ppo", *_ALL), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
@@ -31,7 +30,7 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
 
 OF_STUDY = {
     "halfcheetah": (
-        "normalised_scores", "gaits", "experts", "affine_or_mlp", "learning_curves", "transforms",
+        "normalised_scores", "experts", "affine_or_mlp", "learning_curves", "transforms",
     ),
     "humanoids": (
         "humanoid_scores", "affine_transforms", "experts", "learning_curves", "transforms",
@@ -69,8 +68,10 @@ def imitators(frame: pd.DataFrame) -> list[str]:
     return results.planned_methods(frame, _ALL)
 
 
-def footer(figure: Figure, frame: pd.DataFrame, note: str = "") -> None:
+def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = True) -> None:
     """Write under a figure which budget and how many runs it shows, and warn of toy budgets."""
-    text = "; ".join(part for part in (results.describe(frame), note) if part)
-    evidence = results.is_evidence(results.context(frame)[1])
+    budget = results.context(frame)[1]
+    shown = results.describe(frame) if runs else f"budget {budget}"
+    text = "; ".join(part for part in (shown, note) if part)
+    evidence = results.is_evidence(budget)
     style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)

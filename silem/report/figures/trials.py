@@ -1,4 +1,4 @@
-"""Figures of the trials' scores: Figure 2b, the experts, the gaits, and Table 1 as a picture."""
+"""Figures of the trials' scores: Figure 2b with its gaits, the experts, and Table 1 drawn."""
 
 from __future__ import annotations
 
@@ -14,74 +14,49 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from silem import bodies, paper
 from silem.report import results, style
 from silem.report.figures import cells, sources
-from silem.study import statistics
-from silem.util import seeding
-
-_HOLLOW = "hollow: one trial, so no range"
 
 
-def normalised_scores(frame: pd.DataFrame, bootstrap_seed: int = 0) -> Figure:
-    """Draw Figure 2b: normalised scores of SILEM, SILEM⁻ and their rivals on every body.
+def normalised_scores(frame: pd.DataFrame) -> Figure:
+    """Draw Figure 2b, and whether a score is a gait.
 
-    Left as in the paper, minimum, mean and maximum over trials, with the trials themselves as
-    dots; right the interquartile mean with its 95 % bootstrap interval. A cell with one trial has
-    neither range nor interval and is drawn hollow; a cell without runs is an empty slot.
+    Left, as in the paper, minimum, mean and maximum over trials of the normalised score, with the
+    trials as dots and, at five trials and more, Student's interval of the mean. Right the forward
+    speed of the same trials and of the experts: where the expert only stands, a score of 1 is
+    standing. A single trial is hollow, a cell without runs an empty slot.
 
     Args:
         frame: Runs of one study at one budget, from `results.load_records`.
-        bootstrap_seed: Seed of the resampling.
     """
     frame = sources.runs_of("normalised_scores", frame)
     methods = sources.imitators(frame)
-    looks = [style.method(m, results.original_body(frame)) for m in methods]
-
-    def interval(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
-        generator = seeding.generator(bootstrap_seed, "bootstrap", method, body)
-        summary = statistics.summarise(values, generator)
-        cells.draw_interval(axes, x, summary, style.method(method))
-
+    original = results.original_body(frame)
     with style.applied():
-        figure, (left, right) = style.new_figure(3.7, ncols=2, sharey=True)
-        left.set(title="Minimum, mean, maximum", ylabel="score (1: the body's own PPO expert)")
-        right.set(title="Interquartile mean, 95 % interval")
-        for axes, draw in ((left, cells.draw_range), (right, interval)):
-            level = paper.number("expert_level")
-            axes.axhline(level, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
-            cells.body_ticks(axes, frame, scale="expert")
-            cells.draw_cells(axes, frame, methods, "normalised", draw)
-        cells.room_for_counts(left, 0.0, 1.05)
-        for axes in (left, right):
-            cells.trial_counts(axes, frame, methods, "normalised")
-        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=4)
-        sources.footer(figure, frame, f"{_HOLLOW} and no interval")
+        figure, (left, right) = style.new_figure(3.9, ncols=2)
+        left.set(title="Score: minimum, mean, maximum over trials")
+        right.set(title="Forward speed (m/s)")
+        level = paper.number("expert_level")
+        left.axhline(level, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
+        for index, body in enumerate(results.body_names(frame)):
+            best = results.scores(frame, "ppo", body).max(initial=level)
+            if best > level:
+                left.plot([index - 0.44, index + 0.44], [best, best], **_BEST)
+        for axes, column, shown in (
+            (left, "normalised", methods), (right, "speed_m_s", [*methods, "ppo"]),
+        ):  # fmt: skip
+            cells.body_ticks(axes, frame, scale="experts" if axes is left else "")
+            cells.draw_cells(axes, frame, shown, column)
+            cells.room_for_counts(axes, 0.0, 1.05)
+            cells.trial_counts(axes, frame, shown, column)
+        handles = cells.handles([style.method(m, original) for m in [*methods, "ppo"]])
+        mean: dict[str, Any] = {"color": style.MUTED, "lw": 1, "ls": cells.LEVEL_DASHES}
+        handles.append(Line2D([], [], label="mean of the body's experts", **mean))
+        handles.append(Line2D([], [], label="the best of them, the demonstrator", **_BEST))
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
+        sources.footer(figure, frame, cells.interval_note(frame, [*methods, "ppo"], "speed_m_s"))
     return figure
 
 
-def gaits(frame: pd.DataFrame) -> Figure:
-    """Draw how the bodies move: forward speed and share of time upright, imitators and experts.
-
-    A normalised score hides whether a body runs or stands: where the expert itself only stands, a
-    score of 1 is standing.
-
-    Args:
-        frame: Runs of one study at one budget.
-    """
-    frame = sources.runs_of("gaits", frame)
-    methods = [*sources.imitators(frame), "ppo"]
-    looks = [style.method(m, results.original_body(frame)) for m in methods]
-    with style.applied():
-        figure, panels = style.new_figure(3.4, ncols=2)
-        titles = {"speed_m_s": "Forward speed (m/s)", "upright": _upright_title(frame)}
-        for axes, (column, title) in zip(panels, titles.items(), strict=True):
-            axes.set(title=title)
-            cells.body_ticks(axes, frame)
-            cells.draw_cells(axes, frame, methods, column, cells.draw_range)
-            cells.room_for_counts(axes, 0.0, 1.0)
-            cells.trial_counts(axes, frame, methods, column)
-        figure.legend(handles=cells.handles(looks), loc="outside upper left", ncols=5)
-        note = f"minimum, mean, maximum over trials, whose number stands below; {_HOLLOW}"
-        sources.footer(figure, frame, note)
-    return figure
+_BEST: dict[str, Any] = {"color": style.INK, "lw": 1, "ls": (0, (1, 2))}
 
 
 def experts(frame: pd.DataFrame) -> Figure:
@@ -98,7 +73,7 @@ def experts(frame: pd.DataFrame) -> Figure:
     titles = {
         "return_mean": "Return of an episode",
         "speed_m_s": "Forward speed (m/s)",
-        "upright": _upright_title(frame),
+        "upright": results.upright_label(frame).capitalize(),
     }
     with style.applied():
         figure, panels = style.new_figure(3.1, ncols=3)
@@ -106,7 +81,7 @@ def experts(frame: pd.DataFrame) -> Figure:
             axes.set(title=title)
             cells.body_ticks(axes, frame)
             axes.tick_params(axis="x", labelsize=8)
-            cells.draw_cells(axes, frame, methods, column, _solid)
+            cells.draw_cells(axes, frame, methods, column)
             axes.margins(y=0.12)
             axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
             axes.autoscale_view(scalex=False)
@@ -116,10 +91,7 @@ def experts(frame: pd.DataFrame) -> Figure:
         if label := _paper_marks(panels[0], frame):
             handles.append(Line2D([], [], color=style.PAPER, lw=2, label=label))
         figure.legend(handles=handles, loc="outside upper left", ncols=3)
-        counts = [
-            f"{body} {len(results.cell(frame, 'ppo', body))}" for body in results.body_names(frame)
-        ]
-        sources.footer(figure, frame, f"trials of the experts: {', '.join(counts)}")
+        sources.footer(figure, frame, cells.interval_note(frame, methods[:1], "return_mean"))
     return figure
 
 
@@ -161,15 +133,6 @@ def affine_or_mlp(frame: pd.DataFrame) -> Figure:
     return figure
 
 
-def _solid(axes: Axes, x: float, values: np.ndarray, method: str, body: str) -> None:
-    """Draw a cell's mean, and its trials beside it."""
-    look = style.method(method)
-    if len(values) > 1:
-        places = np.full(len(values), x + 0.14)
-        axes.plot(places, values, "o", ms=3.5, color=look.color, alpha=0.6, mec="none")
-    cells.draw_mark(axes, x, float(values.mean()), look, hollow=False)
-
-
 def _level(axes: Axes, returns: np.ndarray, method: str) -> None:
     """Mark a method's mean return across the panel."""
     if len(returns):
@@ -196,10 +159,6 @@ def _paper_marks(axes: Axes, frame: pd.DataFrame) -> str:
         axes.axhline(paper.number("humanoid_max_return"), color=style.PAPER, lw=2, zorder=1.5)
         return "highest possible return"
     return ""
-
-
-def _upright_title(frame: pd.DataFrame) -> str:
-    return results.upright_label(frame).capitalize()
 
 
 def _thousands(axes: Axes) -> None:

@@ -221,7 +221,7 @@ def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity:
     axes.autoscale_view(scalex=False)
     for x, name in enumerate(names):
         here = frame[frame["demonstrations"] == name]
-        if here[quantity].isna().all():
+        if quantity != "speed_m_s" and here[quantity].isna().all():  # said once
             style.empty_slot(axes, x, "no run" if here.empty else "no expert")
         for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
             look, values = style.method(method), here[here["method"] == method][quantity]
@@ -322,7 +322,8 @@ def film_extremes(frame: pd.DataFrame, duration_s: float) -> film.Clip | None:
 
 def _score_column(frame: pd.DataFrame) -> str:
     """Return the column of scores, or of returns where no expert gives a scale."""
-    return "normalised" if frame["normalised"].notna().any() else "return_mean"
+    known = frame.empty or frame["normalised"].notna().any()
+    return "normalised" if known else "return_mean"
 
 
 def _trial(name: str) -> int | None:

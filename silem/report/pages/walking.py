@@ -61,7 +61,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
             axes.set_title(title)
             cells.body_ticks(axes, frame, scale="PPO" if first else "")
             cells.levels(axes, frame, "ppo", column, 1.05 * top)
-            cells.draw_cells(axes, frame, COMPARED, column, cells.draw_range)
+            cells.draw_cells(axes, frame, COMPARED, column)
             cells.room_for_counts(axes, 0.0, 1.04 * top, 0.18 if first else 0.04)
         score, survived, speed = panels.values()
         score.axhline(_MAX_RETURN, color=style.PAPER, lw=1.5, zorder=1.5)
@@ -73,7 +73,8 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
             axes.tick_params(axis="x", labelsize=8)
         figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
         other = "; ×: a run of another number of iterations, written below it; outside every mean"
-        note = "hollow: one trial, so no range" + (other if frame["stand_in"].any() else "")
+        note = cells.interval_note(frame, COMPARED, "return_mean")
+        note += other if frame["stand_in"].any() else ""
         sources.footer(figure, frame, note)
     return figure
 

@@ -1,0 +1,356 @@
+"""The paper's claims, each with the rule that decides it, fixed before its cells were complete.
+
+A claim measures one or two quantities, each a mean over trials against bounds. Its interval is a
+95 % t interval (Student's for one cell, Welch's for two). A quantity passes where the whole
+interval lies within its bounds and fails where all of it lies outside; a claim "holds" or "does not
+hold" where its quantities decide it, and is "undecided" otherwise, with the reason. No interval
+holds the variance of the demonstrator: all imitators of a study learn from the same one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from silem import paper
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
+from silem.report import results
+from silem.study import statistics
+from silem.study.statistics import NO_INTERVAL, Interval
+from silem.util.errors import choose
+
+MIN_TRIALS, MARGIN, WALKING = 3, 0.1, 0.5
+RULES = {
+    "trials": f"Every cell of a claim needs {MIN_TRIALS} trials of the planned iterations.",
+    "margin": f"Two levels agree within {100 * MARGIN:.0f} % of their scale: for returns of the"
+    " span from the paper's random policy to its expert (humanoids: of the highest return), for"
+    " rewards of D of the largest, for scores and shares of 1, for speeds of the demonstrator's.",
+    "score": "The mean return over trials by the mean return of the body's own experts; its"
+    " interval holds the spread of both. Beside it stands the score against the best of them.",
+    "expert level": f"Return and speed both reach {1 - MARGIN:g} of the experts' (score and speed"
+    " ratio). An expert stands"
+    f" where its speed is below {MARGIN:g} of that of the demonstrator's body; a score of 1 is then"
+    " standing, and the claim cannot be tested by it.",
+    "stable gait": f"The body survives {1 - MARGIN:g} of an episode's steps and moves at"
+    f" {WALKING:g} of the human's speed or more, so that standing still is no gait.",
+    "power": f"The difference found in {100 * statistics.POWER:.0f} % of all studies with as many"
+    " trials as are planned, if the spread is the one seen.",
+}  # fmt: skip
+"""What the rules of the claims have in common, in words."""
+
+HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+
+Cell = tuple[str, str]
+"""A method and a body."""
+
+_NAMES = {
+    "silem": "SILEM", "silem-minus": "SILEM⁻", "silem-minus-own": "SILEM⁻ own",
+    "silem-mlp": "MLP", "tpil": "TPIL", "peng20": "Peng20", "ppo": "expert", "random": "random",
+}  # fmt: skip
+_QUANTITIES = {
+    "return_mean": ("return", 0), "returns": ("return", 0), "disc_reward": ("reward of D", 0),
+    "speed_m_s": ("speed (m/s)", 2), "upright": ("share of steps survived", 2),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A quantity and the bounds between which it has to lie: a rule as data.
+
+    Attributes:
+        of: The cell whose mean it is.
+        column: A column of the table of runs, ``"returns"`` for the single episodes of the random
+            policy, or an entry of T such as ``"A left_hand"``.
+        less: A cell whose mean is taken off.
+        per: A cell whose mean is the unit.
+        lower: The quantity has to be above this,
+        upper: and below this.
+    """
+
+    of: Cell
+    column: str
+    less: Cell | None = None
+    per: Cell | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    @property
+    def cells(self) -> list[Cell]:
+        """The cells that have to have trials."""
+        return [cell for cell in (self.of, self.less, self.per) if cell]
+
+    @property
+    def digits(self) -> int:
+        """Digits after the point when written."""
+        return 2 if self.per else _QUANTITIES.get(self.column, ("", 2))[1]
+
+    @property
+    def name(self) -> str:
+        """What is measured, in words."""
+        name = _QUANTITIES.get(self.column, (f"mean of {self.column}", 2))[0]
+        if self.per:
+            return "score" if name == "return" else f"{name.partition(' ')[0]} ratio"
+        return f"difference in {name}" if self.less else name
+
+    @property
+    def rule(self) -> str:
+        """What the bounds ask for, in words."""
+        low, high = (f"{bound:,.{self.digits}f}" for bound in (self.lower, self.upper))
+        if np.isfinite([self.lower, self.upper]).all():
+            return f"{self.name} from {low} to {high}".replace("-", "−")
+        words = f"above {low}" if np.isfinite(self.lower) else f"below {high}"
+        return f"{self.name} {words}".replace("-", "−")
+
+    def find(self, frame: pd.DataFrame) -> Finding:
+        """Read the quantity off a table of runs."""
+        values = {cell: results.values(frame, *cell, self.column) for cell in self.cells}
+        counts = {self._label(cell): len(found) for cell, found in values.items()}
+        means = {cell: v.mean() if len(v) else np.nan for cell, v in values.items()}
+        ours, interval, others, unit = means[self.of], NO_INTERVAL, [values[self.of]], 1.0
+        enough = min(counts.values()) >= MIN_TRIALS
+        best, wins = float("nan"), float("nan")
+        if self.less:
+            ours, wins = ours - means[self.less], statistics.wins(*values.values())
+            others.append(values[self.less])
+        if self.per:
+            # The interval of mean - bound * mean expert, over the expert's mean: it holds the
+            # spread of both.
+            unit = means[self.per] if means[self.per] > 0 else np.nan
+            best = ours / unit if np.isnan(unit) else ours / values[self.per].max()
+            ours, bound = ours / unit, self.lower if np.isfinite(self.lower) else self.upper
+            others.append(bound * values[self.per])
+        if enough and len(others) == 2:
+            interval = statistics.difference_interval(*others)
+        elif enough:
+            interval = statistics.mean_interval(others[0])
+        if self.per:
+            interval = (bound + interval[0] / unit, bound + interval[1] / unit)
+        planned = results.n_trials(frame)
+        power = statistics.detectable(*others, n_trials=planned) / unit if planned > 1 else np.nan
+        power = np.nan if self.column == "returns" else power
+        return Finding(self, float(ours), interval, counts, float(power), wins, float(best))
+
+    def _label(self, cell: Cell) -> str:
+        if self.column == "returns":
+            return "episodes"
+        several = len({body for _, body in self.cells}) > 1
+        return f"{_NAMES[cell[0]]} {cell[1]}" if several else _NAMES[cell[0]]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the runs say about one quantity.
+
+    Attributes:
+        measure: The quantity.
+        ours: Its value, NaN where no run tells.
+        interval: Its 95 % interval, NaN where a cell has fewer than `MIN_TRIALS` trials.
+        trials: Trials of each cell that it rests on, by the cell's name.
+        detectable: The distance from the bound that as many trials as planned would have found.
+        wins: Where two cells are compared, the share of pairs of their trials in which the first
+            is higher; else NaN.
+        of_best: The score against the best expert, NaN where there is none.
+    """
+
+    measure: Measure
+    ours: float
+    interval: Interval
+    trials: dict[str, int]
+    detectable: float = float("nan")
+    wins: float = float("nan")
+    of_best: float = float("nan")
+
+    @property
+    def verdict(self) -> tuple[str, str]:
+        """The verdict by the module's rule, and why it is undecided if it is."""
+        low, high = self.interval
+        lower, upper = self.measure.lower, self.measure.upper
+        few = {name: count for name, count in self.trials.items() if count < MIN_TRIALS}
+        if few:
+            words = ", ".join(f"{name} {count}" for name, count in few.items())
+            return UNDECIDED, f"too few trials: {words}; {MIN_TRIALS} needed"
+        if np.isnan(self.ours):
+            return UNDECIDED, "no expert level: the experts' mean return is not above zero"
+        if lower <= low and high <= upper:
+            return HOLDS, ""
+        if high < lower or upper < low:
+            return FAILS, ""
+        return UNDECIDED, f"the interval of the {self.measure.name} spans the bound"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of the paper.
+
+    Attributes:
+        title: The claim without its body.
+        body: The body that it is about.
+        where: Where the paper makes it.
+        measures: Its quantities with their bounds.
+        either: It holds where one of the quantities passes; else all have to.
+        printed: The paper's number, None where it only shows a figure.
+        moves: Two cells: the claim can be tested where the first moves, by the second's speed.
+    """
+
+    title: str
+    body: str
+    where: str
+    measures: tuple[Measure, ...]
+    either: bool = False
+    printed: float | None = None
+    moves: tuple[Cell, Cell] | None = None
+
+    @property
+    def text(self) -> str:
+        """The claim in words."""
+        return f"{self.title} on {self.body}"
+
+    @property
+    def rule(self) -> str:
+        """What "holds" means, in words."""
+        return (" or " if self.either else " and ").join(m.rule for m in self.measures)
+
+    def judge(self, frame: pd.DataFrame) -> tuple[list[Finding], str, str]:
+        """Return what a table of runs says: findings, verdict, and why it is undecided if it is."""
+        findings = [measure.find(frame) for measure in self.measures]
+        found = [finding.verdict for finding in findings]
+        verdicts = [verdict for verdict, _ in found]
+        decisive, other = (HOLDS, FAILS) if self.either else (FAILS, HOLDS)
+        _, budget = results.context(frame)
+        if not results.is_evidence(budget):
+            return findings, UNDECIDED, f"runs at budget {budget} are no evidence"
+        cells = dict.fromkeys(cell for measure in self.measures for cell in measure.cells)
+        if absent := [c for c in cells if not results.is_planned(frame, *c)]:
+            words = ", ".join(f"{_NAMES[method]} on {body}" for method, body in absent)
+            return findings, UNDECIDED, f"not planned: {words}"
+        if all(reason.startswith("too few") for _, reason in found):
+            return findings, UNDECIDED, found[0][1]
+        if self.moves and (standing := self._standing(frame)):
+            return findings, UNDECIDED, standing
+        if decisive in verdicts:
+            return findings, decisive, ""
+        if set(verdicts) == {other}:
+            return findings, other, ""
+        return findings, UNDECIDED, "; ".join(dict.fromkeys(why for _, why in found if why))
+
+    def _standing(self, frame: pd.DataFrame) -> str:
+        """Say that the expert stands, if it does."""
+        assert self.moves
+        expert, mover = (results.values(frame, *cell, "speed_m_s") for cell in self.moves)
+        if len(mover) and expert.mean() >= MARGIN * mover.mean():
+            return ""
+        if not len(mover):
+            return "no expert level: no expert of the demonstrator's body"
+        ours = results.values(frame, *self.measures[0].of, "speed_m_s").mean()
+        return (
+            f"no expert level: PPO's experts stand ({expert.mean():.2f} m/s), so the score cannot"
+            f" test it; the imitators' speed: {ours:.2f} m/s".replace("-", "−")
+        )
+
+
+def of(study: str) -> tuple[Claim, ...]:
+    """Return the claims that a study's runs judge, in the order in which the book tells them.
+
+    Raises:
+        SilemError: The paper makes no claim that this study's runs could judge.
+    """
+    return CLAIMS[choose("study with claims", study, CLAIMS)]
+
+
+_RETURN = MARGIN * (paper.number("expert_return") - paper.number("random_return"))
+_REWARD = MARGIN * max(paper.number("disc_reward_range"))
+_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
+
+
+def _exceeds(first: Cell, second: Cell, above: float = 0.0, column: str = "return_mean") -> Measure:
+    return Measure(first, column, less=second, lower=above)
+
+
+def _half_cheetahs() -> tuple[Claim, ...]:
+    """Figure 2b, Table 1 and the numbers around it."""
+    text = "Section 5, 'Why does the sequential affine transform ...'"
+    mlp, affine = paper.table("tab1").rows
+
+    def agrees(who: str, where: str, method: str, column: str, printed: float) -> Claim:
+        half = _REWARD if column == "disc_reward" else _RETURN
+        measure = Measure((method, "HC0"), column, lower=printed - half, upper=printed + half)
+        name = "discriminator reward" if column == "disc_reward" else "return"
+        return Claim(f"{who}'s {name} is the paper's", "HC0", where, (measure,), printed=printed)
+
+    def reaches(who: str, method: str, body: str) -> Claim:
+        level = 1 - MARGIN
+        both = [
+            Measure((method, body), column, per=("ppo", body), lower=level)
+            for column in ("return_mean", "speed_m_s")
+        ]
+        moves = ("ppo", body), ("ppo", "HC0")
+        return Claim(f"{who} reaches expert level", body, "Figure 2b", tuple(both), moves=moves)
+
+    rows = [("SILEM", "silem", affine), ("The MLP", "silem-mlp", mlp)]
+    gap = mlp["discriminator_reward"] - affine["discriminator_reward"]
+    lead = affine["ground_truth_reward"] - mlp["ground_truth_reward"]
+    silem, network = ("silem", "HC0"), ("silem-mlp", "HC0")
+    own, minus = "silem-minus-own", "silem-minus"
+    longer = _HALF_CHEETAHS[1:]
+    return (
+        agrees("The random policy", text, "random", "returns", paper.number("random_return")),
+        agrees("The expert", text, "ppo", "return_mean", paper.number("expert_return")),
+        *(agrees(who, "Table 1", method, "return_mean", printed["ground_truth_reward"])
+          for who, method, printed in rows),
+        *(agrees(who, "Table 1", method, "disc_reward", printed["discriminator_reward"])
+          for who, method, printed in rows),
+        Claim("The MLP fools D as well as the affine transform", "HC0", "Table 1",
+              (_exceeds(network, silem, -_REWARD, "disc_reward"),), printed=gap),
+        Claim("The affine transform leads to the better policy than the MLP", "HC0", "Table 1",
+              (_exceeds(silem, network, _RETURN),), printed=lead),
+        *(reaches("SILEM", "silem", body) for body in _HALF_CHEETAHS),
+        *(Claim("Without the transform imitation degrades, against the body's own expert", body,
+                "Figure 2b", (_exceeds((own, body), (minus, body)),)) for body in longer),
+        *(Claim("SILEM beats SILEM⁻", body, "Figure 2b",
+                (_exceeds(("silem", body), (minus, body)),)) for body in longer),
+        *(reaches("SILEM⁻ from the own expert", own, body) for body in _HALF_CHEETAHS),
+    )  # fmt: skip
+
+
+def _humanoids() -> tuple[Claim, ...]:
+    """Figures 3b, 4a and 4b.
+
+    T acts on the learner's features: a left elbow that stays straighter than the demonstrator's is
+    brought back to it by a lower offset. (Angles grow as an arm straightens.)
+    """
+    gait = "Section 5, 'Can the sequential affine transform ...'"
+    rivals = "Section 5, 'Comparison with TPIL and Peng20'"
+    survives, gap = 1 - MARGIN, MARGIN * paper.number("humanoid_max_return")
+    walks, fast = WALKING * DEMONSTRATOR_SPEED_M_S, (1 - MARGIN) * DEMONSTRATOR_SPEED_M_S
+    everyone, others = ("Atlas", "Humanoid", "HumanoidR"), ("Humanoid", "HumanoidR")
+    bounds = {"silem-minus": 0.0, "tpil": gap, "peng20": gap}
+    arms = ("silem", "HumanoidR")
+    return (
+        *(Claim("SILEM's gait is stable", body, gait,
+                (Measure(("silem", body), "upright", lower=survives),
+                 Measure(("silem", body), "speed_m_s", lower=walks))) for body in everyone),
+        *(Claim("SILEM matches the human's speed", body, "Figure 3, caption",
+                (Measure(("silem", body), "speed_m_s", lower=fast),)) for body in everyone),
+        *(Claim("SILEM⁻ finds no stable gait", body, gait,
+                (Measure(("silem-minus", body), "upright", upper=survives),
+                 Measure(("silem-minus", body), "speed_m_s", upper=walks)), either=True)
+          for body in everyone),
+        *(Claim(f"SILEM {'far outperforms' if bound else 'beats'} {_NAMES[rival]}", body,
+                "Figure 3b", (_exceeds(("silem", body), (rival, body), bound),))
+          for rival, bound in bounds.items() for body in everyone),
+        *(Claim(f"{_NAMES[method]} does much better on Atlas than", body, rivals,
+                (_exceeds((method, "Atlas"), (method, body), gap),))
+          for method in ("peng20", "tpil", "silem-minus") for body in others),
+        Claim("The short left arm's hand position is scaled up", "HumanoidR", "Figure 4a",
+              (Measure(arms, "A left_hand", lower=1.0),)),
+        Claim("The long right arm's hand position is scaled down", "HumanoidR", "Figure 4a",
+              (Measure(arms, "A right_hand", upper=1.0),)),
+        Claim("The left arm keeps the more obtuse angle", "HumanoidR", "Figure 4b",
+              (Measure(arms, "b left_elbow - right_elbow", upper=0.0),)),
+    )  # fmt: skip
+
+
+CLAIMS = {"halfcheetah": _half_cheetahs(), "humanoids": _humanoids()}
+"""Every claim that is judged so far, by the study whose runs judge it."""
