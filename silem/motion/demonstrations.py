@@ -43,8 +43,7 @@ class Demonstrations:
                 raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
                 raise SilemError(
-                    f"trajectory {i} has {len(array)} state(s), too short for a window: "
-                    "a window needs a transition, so at least 2 states"
+                    f"trajectory {i} is too short: {len(array)} state; allowed: 2 or more"
                 )
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
@@ -68,12 +67,8 @@ class Demonstrations:
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
         n_states = sum(len(array) for array in self.features[:n])
-        return replace(
-            self,
-            features=self.features[:n],
-            returns=self.returns[:n],
-            extra={name: array[:n_states] for name, array in self.extra.items()},
-        )
+        extra = {name: array[:n_states] for name, array in self.extra.items()}
+        return replace(self, features=self.features[:n], returns=self.returns[:n], extra=extra)
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""
@@ -149,7 +144,8 @@ def _own_file(name: str) -> Path:
 
 
 def _packaged() -> dict[str, dict[str, Any]]:
-    return {n: about for n, about in _read(paths.clips_dir()).items() if not about["expert_run_id"]}
+    every = _read(paths.clips_dir())
+    return {name: about for name, about in every.items() if not about.get("expert_run_id")}
 
 
 def manifest() -> dict[str, dict[str, Any]]:
@@ -249,11 +245,11 @@ def publish(
 
 
 def captured_speed_m_s(name: str) -> float | None:
-    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+    """Return the mean speed of the man whose motion was captured, None where there was none.
 
     Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
-    Raises SilemError if there are no such demonstrations.
     """
-    about = entry(name)
+    if (about := manifest().get(name)) is None:
+        return None  # a person's own file
     captured = entry(about.get("retargeted_from", name))
     return captured["speed_m_s"] if "capture_rate_hz" in captured else None

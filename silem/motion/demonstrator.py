@@ -103,11 +103,9 @@ def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
     Raises:
         SilemError: The clip is unknown or cannot be had, or as `read_amc` and `pose`.
     """
-    choose("clip", clip, CLIPS)
     skeleton = read_asf(clips.mocap_file("08/08.asf"))
-    amc = read_amc(clips.mocap_file(f"08/{clip}.amc"), skeleton)
-    motion = pose(amc, CMU_RATE_HZ, rate_hz, floor_slope=FLOOR_SLOPE, heading_rad=0.0)
-    return replace(motion, name=clip)
+    amc = read_amc(clips.mocap_file(f"08/{choose('clip', clip, CLIPS)}.amc"), skeleton)
+    return pose(amc, CMU_RATE_HZ, rate_hz, floor_slope=FLOOR_SLOPE, heading_rad=0.0)
 
 
 def pose(

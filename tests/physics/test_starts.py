@@ -222,6 +222,11 @@ def test_a_run_is_trained_and_evaluated_on_the_same_task(
     assert asked == [0.8, 0.8]
 
 
-def test_a_policys_episodes_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
+def test_a_policys_episodes_and_ones_own_file_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
     publish("Humanoid", {"speed_m_s": 1.0})
-    assert task_options(RunConfig.create("Humanoid", "silem", "Humanoid")) == {}
+    Demonstrations((np.zeros((3, 23), np.float32),)).save(demonstrations.file_of("mine"))
+    for name in ("Humanoid", "mine"):
+        assert task_options(RunConfig.create("Humanoid", "silem", name)) == {}
+    publish(retargeted("gone", "Humanoid"), {"retargeted_from": "gone"})
+    with pytest.raises(SilemError, match="unknown demonstrations 'gone'"):
+        task_options(RunConfig.create("Humanoid", "peng20", retargeted("gone", "Humanoid")))
