@@ -42,9 +42,7 @@ class Demonstrations:
             if array.dtype.kind != "f":
                 raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
-                raise SilemError(
-                    f"trajectory {i} is too short: {len(array)} state; allowed: 2 or more"
-                )
+                raise SilemError(f"trajectory {i} is too short: {len(array)} of at least 2 states")
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
         if len(self.returns) not in (0, len(self.features)):
