@@ -106,7 +106,7 @@ class Bone:
 
     axes: tuple[str, ...] = ()  #: those about which it turns ("rx", ...), none if it does not move
     length: float = float("nan")  #: in the file's unit
-    frame_deg: tuple[float, ...] = (float("nan"),) * 3  #: its own axes: turns about x, then y, z
+    frame_deg: tuple[float, ...] = (float("nan"),) * 3  #: its own axes, turned about x, then y, z
 
 
 @dataclass(frozen=True)

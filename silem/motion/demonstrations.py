@@ -147,10 +147,7 @@ def _packaged() -> dict[str, dict[str, Any]]:
 
 
 def manifest() -> dict[str, dict[str, Any]]:
-    """Return what is said of all published demonstrations, and of those with the package, by name.
-
-    Raises SilemError if the manifest is damaged.
-    """
+    """Return what is said of all demonstrations, published or with the package, by name."""
     return _packaged() | _read(paths.demonstrations_dir())
 
 
@@ -207,10 +204,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
 
 @contextmanager
 def publishing() -> Iterator[None]:
-    """Hold the one lock of all demonstrations, because they share the manifest.
-
-    Raises SilemError if another process holds it for longer than ten minutes.
-    """
+    """Hold the one lock of all demonstrations, which share the manifest; wait up to ten minutes."""
     with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=600.0):
         files.remove_leftovers(paths.demonstrations_dir())
         yield
