@@ -72,7 +72,7 @@ class Motion:
 
     name: str  #: the clip, for example "08_01"
     rate_hz: float  #: states per second
-    qpos: np.ndarray  #: (T, 63) the model's pose: the root's position and quaternion, then hinges
+    qpos: np.ndarray  #: (T, 63) its model's pose, the root's position and quaternion first
     qvel: np.ndarray  #: (T, 62) its velocity, by central differences over the neighbouring states
     points: np.ndarray  #: (T, P, 3) landmarks in m, in the order of `silem.motion.features.POINTS`
     torso_axes: np.ndarray  #: (T, 3, 3) forward, left and up of the torso, as rows
