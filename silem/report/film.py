@@ -33,8 +33,7 @@ from silem.envs.bullet.camera import Camera
 from silem.envs.bullet.simulator import Simulator
 from silem.envs.mujoco.simulator import Simulation, body_of
 from silem.motion import demonstrator
-from silem.study.evaluate import Policy, random_policy
-from silem.study.policies import load_policy
+from silem.study.evaluate import Policy, load_policy, random_policy
 from silem.study.record import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import SilemError, choose

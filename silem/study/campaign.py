@@ -1,7 +1,8 @@
 """Campaigns: many runs on one machine, in a pool of worker processes.
 
-Every worker is one ``python -m silem ...`` command. A worker that is killed is started again and
-goes on from its checkpoint; a campaign that is stopped goes on where it was when asked for again.
+Every worker is one ``silem ...`` command. A worker that is killed is started again and goes on from
+its checkpoint; a campaign that is stopped goes on where it was when asked for again. However it
+ends, its workers end with it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,18 +23,14 @@ from silem import bodies
 from silem.bodies import own
 from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
-from silem.study.checkpoint import PROGRESS
+from silem.study.checkpoint import CHECKPOINT, PROGRESS
 from silem.study.config import RunConfig
-from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
-from silem.study.studies import Cell, cells, study_configs
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
-__all__ = ["Cell", "Task", "campaign", "cells", "plan", "study_configs"]
-
 MAX_KILLS = 5
-"""How often a worker may be killed by a signal before its task counts as failed."""
+"""How often in a row a worker may be killed before its checkpoint advances, or its task failed."""
 
 
 @dataclass
@@ -42,9 +39,9 @@ class Task:
 
     Attributes:
         name: A run's id, or "demonstrations HC0".
-        arguments: What follows ``python -m silem``.
+        arguments: What follows ``silem``.
+        folder: Where its log goes and its progress file and checkpoint may stand.
         needs: Names of the tasks that must be done before.
-        folder: Where its log goes and its progress file may stand.
     """
 
     name: str
@@ -64,40 +61,34 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
             `configs`; or a finished run was made with others than those there are now.
     """
     tasks: dict[str, Task] = {}
-    waiting = {config.run_id for config in configs if runs.finished(config) is None}
-    for config in configs:
-        if config.run_id not in waiting or config.run_id in tasks:
-            continue
+    waiting = {config.run_id: config for config in configs if runs.finished(config) is None}
+    for run_id, config in waiting.items():
         needs = set()
-        body = config.demonstrations
-        if body and not is_published(body):
-            recording = _recording(config, waiting)
+        if config.demonstrations and not is_published(config.demonstrations):
+            recording = _recording(config, waiting.keys())
             tasks.setdefault(recording.name, recording)
             needs.add(recording.name)
         folder = runs.run_folder(config)
-        arguments = ["run", "--quiet", "--wait", "--config", str(folder / "config.json")]
-        tasks[config.run_id] = Task(config.run_id, arguments, folder, needs)
-    for config in configs:
-        if config.run_id in tasks:
-            files.write_json(runs.run_folder(config) / "config.json", config.to_dict())
+        arguments = ["run", "--wait", "--config", str(folder / "config.json")]
+        tasks[run_id] = Task(run_id, arguments, folder, needs)
+    for config in waiting.values():
+        files.write_json(runs.run_folder(config) / "config.json", config.to_dict())
     return list(tasks.values())
 
 
-def _recording(config: RunConfig, waiting: set[str]) -> Task:
+def _recording(config: RunConfig, waiting: Set[str]) -> Task:
     """Return the task that records the demonstrations that a run needs."""
-    name, budget = config.demonstrations, config.budget
+    name, budget = config.demonstrations, config.budget.base_name
     body, trial = demonstrate.expert_of(name)
     runs.check_made_by_an_expert(body)
-    needed = demonstrate.experts(body, budget.base_name)
-    if trial is not None:
-        needed = [expert for expert in needed if expert.seed == trial]
+    needed = [e for e in demonstrate.experts(body, budget) if trial in (None, e.seed)]
     for expert in needed:
         if expert.run_id not in waiting and runs.find(expert.run_id) is None:
             raise SilemError(
                 f"{config.run_id} needs demonstrations of {name}, and the expert {expert.run_id} is"
                 f" neither finished nor part of this campaign; first: {expert.command}"
             )
-    arguments = ["demonstrations", "--quiet", "--body", body, "--budget", budget.base_name]
+    arguments = ["demonstrations", "--body", body, "--budget", budget]
     if trial is not None:
         arguments += ["--trial", str(trial)]
     folder = paths.runs_dir() / config.study / f"demonstrations_{name}"
@@ -127,7 +118,7 @@ def campaign(
         raise SilemError(f"workers must be 1 or more, not {n_workers}")
     pool = _Pool(plan(configs), n_workers, progress, total=len(configs))
     try:
-        with sigterm_as_interrupt():
+        with runs.sigterm_as_interrupt():
             pool.work()
     except KeyboardInterrupt:
         message = "stopped the campaign and its workers; the same command goes on"
@@ -198,33 +189,32 @@ class _Pool:
 
     def _execute(self, task: Task) -> str | None:
         """Run a task's command until it ends by itself; return what went wrong, if anything."""
-        log = task.folder / "log.txt"
+        log, kills = task.folder / "log.txt", 0
         task.folder.mkdir(parents=True, exist_ok=True)
-        for _ in range(MAX_KILLS):
-            if self._stopping:
-                return f"{task.name} was not started"
+        while kills < MAX_KILLS and not self._stopping:
+            before = _written(task.folder / CHECKPOINT)
             code = self._spawn(task, log)
             if code == 0:
                 return None
-            if code > 0 or self._stopping:
+            if code > 0:
                 lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
                 return f"{task.name} failed: {lines[-1]} (log: {log})"
-        return f"{task.name} was killed {MAX_KILLS} times"
+            kills = kills + 1 if _written(task.folder / CHECKPOINT) == before else 0
+        return f"{task.name} was stopped, or killed {MAX_KILLS} times without getting on"
 
     def _spawn(self, task: Task, log: Path) -> int:
-        command = [sys.executable, "-m", "silem", *task.arguments]
-        for module in sorted({own.module_of(name) or "" for name in bodies.names()} - {""}):
+        command = [sys.executable, "-m", "silem", *task.arguments, "--quiet", "--with-input"]
+        for module in sorted({own.module_of(name) for name in bodies.names()} - {""}):
             command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         if root := paths.checkout():
             moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
-        with open(log, "wb") as stream:
-            # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then
-            # stops each worker once.
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream,
-                env=os.environ | moved, start_new_session=True,
-            )  # fmt: skip
+        # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then stops
+        # each worker once. Its input is a pipe that ends when the campaign does.
+        with open(log, "wb") as stream, subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
+            env=os.environ | moved, start_new_session=True,
+        ) as process:  # fmt: skip
             self._processes[task.name] = process
             if self._stopping:
                 process.send_signal(signal.SIGTERM)
@@ -237,6 +227,10 @@ class _Pool:
         for i, bar in enumerate(self._lines):
             bar.set_description_str(lines[i] if i < len(lines) else "")
         self._overall.refresh()
+
+
+def _written(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 def _describe(task: Task) -> str:

@@ -11,14 +11,16 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from silem.study.config import RunConfig
-from silem.study.curve import COLUMNS
+from silem.study.record import CURVE_COLUMNS
 from silem.util import files
 from silem.util.errors import SilemError, reason
 
@@ -53,7 +55,7 @@ class Checkpoint:
     @classmethod
     def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
         """Return what a run starts from that has not begun."""
-        no_curve = np.empty((0, len(COLUMNS)))
+        no_curve = np.empty((0, len(CURVE_COLUMNS)))
         return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
 
     def save(self, path: Path) -> None:
@@ -110,7 +112,7 @@ class Checkpoint:
                 raise SilemError(f"{path} holds unknown {', '.join(metadata)}")
         except (KeyError, TypeError, ValueError) as error:
             raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
-        if found.curve.ndim != 2 or found.curve.shape[1] != len(COLUMNS):
+        if found.curve.ndim != 2 or found.curve.shape[1] != len(CURVE_COLUMNS):
             raise SilemError(f"{path} is of an older version: its curve is another; {advice}")
         if found.run_id != config.run_id:
             raise SilemError(
@@ -142,6 +144,22 @@ class Checkpoint:
         if not all(isinstance(commit, str) for commit in self.commits):
             return "names commits that are no text"
         return ""
+
+
+class Stopwatch:
+    """Wall and processor time that a run takes, over all sessions."""
+
+    def __init__(self, start: Checkpoint) -> None:
+        self._start, self._began = start, (time.perf_counter(), time.process_time())
+
+    def __call__(self) -> dict[str, Any]:
+        """Return it in seconds; of the processor None where an earlier session did not count it."""
+        before = self._start.processor_time_s
+        processor_s = time.process_time() - self._began[1]
+        return {
+            "wall_time_s": self._start.wall_time_s + time.perf_counter() - self._began[0],
+            "processor_time_s": None if before is None else before + processor_s,
+        }
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:

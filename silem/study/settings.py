@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -21,14 +21,6 @@ from silem.util.errors import SilemError, check_name, choose, clipped
 
 HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
-
-STARTS = ("standing", "demonstration")
-"""What episodes of a humanoid start from: the standing pose with small noise, or states of the
-demonstration retargeted to the learner's body (off by default: the paper argues against needing
-them)."""
-
-
-# ---------------------------------------------------------------- methods
 
 
 @dataclass(frozen=True)
@@ -62,34 +54,17 @@ METHODS = {
 """Every method by name."""
 
 IMITATORS = tuple(name for name, method in METHODS.items() if method.source)
-"""The methods that learn from demonstrations."""
-
 _LEARNERS = tuple(name for name, method in METHODS.items() if method.algorithm)
 _TRANSFORMED = tuple(name for name, method in METHODS.items() if method.transform)
 
 
-# ---------------------------------------------------------------- hyper-parameters
+def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: Any) -> Any:
+    """Declare a hyper-parameter: who uses it, its default and where that is from ("": open).
 
-
-def _used_by(
-    methods: Iterable[str],
-    default: Any,
-    source: str = "",
-    *,
-    optional: bool = False,
-    **allowed: Any,
-) -> Any:
-    """Declare a hyper-parameter.
-
-    Args:
-        methods: Who uses it.
-        default: Its value where no table of the paper and no family says another.
-        source: Where the default comes from; "" means that the paper leaves it open.
-        optional: At its default it is no part of a run's identity.
-        **allowed: ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``.
+    Rules are ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``; and
+    ``optional``: at its default it is no part of a run's identity.
     """
-    metadata = {"methods": tuple(methods), "optional": optional, "source": source, **allowed}
-    return field(default=default, metadata=metadata)
+    return field(default=default, metadata={"methods": methods, "source": source, **rules})
 
 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
@@ -141,7 +116,11 @@ class HyperParameters:
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0, zero=True)  # C_g
-    starts: str = _used_by(_LEARNERS, STARTS[0], optional=True, choices=STARTS)
+    # What episodes of a humanoid start from: the standing pose with small noise, or states of the
+    # demonstration retargeted to the learner's body, which the paper argues against needing.
+    starts: str = _used_by(
+        _LEARNERS, "standing", optional=True, choices=("standing", "demonstration")
+    )
     # Of the random policy: standard deviation of its raw actions, as an untrained policy's is.
     action_std: float = _used_by(("random",), 1.0)
 
@@ -149,35 +128,29 @@ class HyperParameters:
         for item in dataclasses.fields(self):
             object.__setattr__(self, item.name, _checked(item, getattr(self, item.name)))
 
-    @staticmethod
-    def names_used_by(method: str) -> list[str]:
-        """Return the names of the hyper-parameters that a method uses, in the class's order."""
-        return [
-            item.name
-            for item in dataclasses.fields(HyperParameters)
-            if method in item.metadata["methods"]
-        ]
+    @classmethod
+    def used_by(cls, method: str) -> dict[str, dataclasses.Field[Any]]:
+        """Return the fields that a method uses, by name, in the class's order."""
+        fields = dataclasses.fields(cls)
+        return {item.name: item for item in fields if method in item.metadata["methods"]}
 
     def of_method(self, method: str) -> dict[str, Any]:
         """Return what identifies a run of a method: the values it uses, by name.
 
         Optional hyper-parameters are left out at their defaults.
         """
-        used = {name: getattr(self, name) for name in self.names_used_by(method)}
-        fields = {item.name: item for item in dataclasses.fields(self)}
-        return {
-            name: value
-            for name, value in used.items()
-            if not (fields[name].metadata["optional"] and value == fields[name].default)
-        }
+        values = {name: getattr(self, name) for name in self.used_by(method)}
+        for name, item in self.used_by(method).items():
+            if item.metadata.get("optional") and values[name] == item.default:
+                del values[name]
+        return values
 
 
 LARGEST = 10**9
 """More of anything cannot be run through."""
 
 
-def check_positive_int(name: str, value: Any) -> None:
-    """Raise SilemError unless a value is a whole number from 1 to `LARGEST`."""
+def _check_count(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
         raise SilemError(
             f"{name} must be a positive whole number up to {LARGEST}, not {clipped(repr(value))}"
@@ -197,10 +170,10 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
         if not isinstance(value, list | tuple) or not value:
             raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
         for size in value:
-            check_positive_int(f"each size in {name}", size)
+            _check_count(f"each size in {name}", size)
         return tuple(value)
     if isinstance(default, int):
-        check_positive_int(name, value)
+        _check_count(name, value)
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
@@ -208,9 +181,6 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     if not enough or not value <= rule.get("most", value) or abs(value) > sys.float_info.max:
         raise SilemError(f"{name} is out of range: {clipped(repr(value))}")
     return float(value)
-
-
-# ---------------------------------------------------------------- budgets
 
 
 @dataclass(frozen=True)
@@ -229,7 +199,7 @@ class Budget:
         check_name("budget", self.name)
         for item in dataclasses.fields(self):
             if item.name != "name":
-                check_positive_int(f"budget {item.name}", getattr(self, item.name))
+                _check_count(f"budget {item.name}", getattr(self, item.name))
         if self.steps_per_iteration % self.n_envs:
             raise SilemError(
                 f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
@@ -272,9 +242,6 @@ BUDGETS = {
         Budget("paper", 8, _STEPS, _PPO["n_iterations"], _TRIALS, _PAPER_EPISODES, 25),
     )
 }
-
-
-# ---------------------------------------------------------------- families of bodies
 
 
 class Setting(NamedTuple):
@@ -337,17 +304,29 @@ FAMILIES = {
 """What is chosen for each family of bodies; other families take HalfCheetah's."""
 
 
+def budget_named(budget: str | Budget) -> Budget:
+    """Return one of `BUDGETS` by its name, or the budget itself."""
+    return BUDGETS[choose("budget", budget, BUDGETS)] if isinstance(budget, str) else budget
+
+
+def _namesake(budget: Budget) -> Budget | None:
+    """Return the one of `BUDGETS` whose name a budget bears, with the iterations that it names."""
+    base = BUDGETS.get(budget.base_name)
+    if base is None or base.name == budget.name:
+        return base
+    return base.with_iterations(budget.n_iterations)
+
+
 def of_family(budget: Budget, family: str) -> Budget:
     """Return a budget with the counts it has on a family, the same for every body and method.
 
     A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
     stays as it is.
     """
-    base = BUDGETS.get(budget.base_name)
-    if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
+    if budget != _namesake(budget):
         return budget
-    counts: dict[str, Any] = dict(_family(family).budgets.get(base.name, {}))
-    if budget != base:
+    counts: dict[str, Any] = dict(_family(family).budgets.get(budget.base_name, {}))
+    if budget.name != budget.base_name:
         counts.pop("n_iterations", None)
     return dataclasses.replace(budget, **counts)
 
@@ -360,24 +339,19 @@ def check_counts(budget: Budget, family: str) -> None:
     Raises:
         SilemError: Naming what differs.
     """
-    base = BUDGETS.get(budget.base_name)
-    if base is None:
+    if (named := _namesake(budget)) is None:
         return
-    own = base if budget.name == base.name else base.with_iterations(budget.n_iterations)
-    expected = dataclasses.asdict(of_family(own, family)) | {"n_trials": budget.n_trials}
+    expected = dataclasses.asdict(of_family(named, family)) | {"n_trials": budget.n_trials}
     differs = [name for name in expected if getattr(budget, name) != expected[name]]
     if differs:
         raise SilemError(
-            f"budget {budget.name!r} has another {', '.join(differs)} than {own.name!r}; give it a"
-            f" name of its own, which begins with none of {', '.join(BUDGETS)}"
+            f"budget {budget.name!r} has another {', '.join(differs)} than {named.name!r}; give it"
+            f" a name of its own, which begins with none of {', '.join(BUDGETS)}"
         )
 
 
 def _family(name: str) -> FamilySettings:
     return FAMILIES.get(name, FAMILIES["halfcheetah"])
-
-
-# ---------------------------------------------------------------- one cell
 
 
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
@@ -425,17 +399,17 @@ def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
         Settings by name, only those that the method uses, in the order of `HyperParameters`, and
         last the parameters of the body.
     """
-    family, parameters = bodies.get(body).family, bodies.get(body).parameters
-    used = {
-        item.name: Setting(item.default, item.metadata["source"] or "open: this project's default")
-        for item in dataclasses.fields(HyperParameters)
-        if method in item.metadata["methods"]
-    } | {name: Setting(value, "the body's own") for name, value in parameters.items()}
-    found = dict(_family(family).chosen)
+    family = bodies.get(body).family
+    found = {
+        name: Setting(item.default, item.metadata["source"] or "open: this project's default")
+        for name, item in HyperParameters.used_by(method).items()
+    }
+    found |= {name: Setting(x, "the body's own") for name, x in bodies.get(body).parameters.items()}
+    better = dict(_family(family).chosen)
     if family in FAMILIES:
-        found |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
-    found |= _best(body, method, source, _family(family).stand_in)
-    return used | {name: setting for name, setting in found.items() if name in used}
+        better |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
+    better |= _best(body, method, source, _family(family).stand_in)
+    return found | {name: setting for name, setting in better.items() if name in found}
 
 
 def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:

@@ -9,7 +9,7 @@ from typing import Any
 from silem import paper
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.settings import BUDGETS, Budget
+from silem.study.settings import BUDGETS, Budget, budget_named
 from silem.util.errors import SilemError, choose
 
 
@@ -30,8 +30,7 @@ class Cell:
 
     def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
-        if isinstance(budget, str):
-            budget = BUDGETS[choose("budget", budget, BUDGETS)]
+        budget = budget_named(budget)
         if self.n_iterations is not None and budget.is_evidence:
             budget = BUDGETS[budget.base_name].with_iterations(self.n_iterations)
         return RunConfig.create(
@@ -214,8 +213,7 @@ def study_configs(
     Raises:
         SilemError: An unknown study or budget, or more trials than there are fixed seeds.
     """
-    if isinstance(budget, str):
-        budget = BUDGETS[choose("budget", budget, BUDGETS)]
+    budget = budget_named(budget)
     seeds = seeds_of(study, budget, n_trials)
     for name, wanted in only.items():
         allowed = dict.fromkeys(getattr(cell, name) for cell in cells(study))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import curve
 from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.record import (
     CURVE,
+    CURVE_COLUMNS,
+    MAX_ROWS,
     PACKAGES,
     POLICY,
     RECORD,
@@ -24,7 +26,7 @@ from silem.study.record import (
     RunRecord,
     git,
     provenance,
-)
+)  # fmt: skip
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
@@ -51,22 +53,13 @@ class Verdict:
         return f"{self.name}: {self.outcome} ({self.why})"
 
 
-# ---------------------------------------------------------------- what a record holds
-
-
 def check(folder: Path) -> RunRecord:
-    """Load one record and check that it is whole and agrees with itself.
+    """Load the record in a folder and check that it is whole and agrees with itself.
 
     Checked are its configuration (through the one strict door), that the run id is the
     configuration's and the folder's name, its counts against the configuration, its means and
     deviations against the single returns, that every number lies where it can, and every file
     beside it: its SHA-256, whose it is, and that it can be read.
-
-    Args:
-        folder: The run's folder.
-
-    Returns:
-        The record.
 
     Raises:
         SilemError: Naming the folder and what is wrong.
@@ -157,20 +150,17 @@ def _check_files(record: RunRecord, config: RunConfig) -> None:
 
 
 def _check_curve(columns: dict[str, np.ndarray], config: RunConfig) -> None:
-    if list(columns) != [name for name in curve.COLUMNS if name in columns]:
+    if list(columns) != [name for name in CURVE_COLUMNS if name in columns]:
         raise SilemError(f"{CURVE} has the columns {', '.join(columns)}")
     iterations, budget = columns["iteration"], config.budget
     steps = iterations * budget.steps_per_iteration
     if (
-        not 1 <= len(iterations) <= curve.MAX_ROWS
+        not 1 <= len(iterations) <= MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
         or not np.array_equal(columns["timesteps"], steps)
     ):
         raise SilemError(f"{CURVE} is no curve of {budget.n_iterations} iterations")
-
-
-# ---------------------------------------------------------------- where it came from
 
 
 def check_source(record: RunRecord) -> None:
@@ -201,15 +191,11 @@ def _history() -> frozenset[str] | None:
     return frozenset((git("rev-list", "--all") or "").split())
 
 
-# ---------------------------------------------------------------- what its policy does
-
-
 def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
     """Check a record and all it rests on, and evaluate its policy anew on its first episodes.
 
-    Evaluations have fixed seeds and step up to 8 environments at once, each with its number of
-    episodes fixed beforehand. So the same batch, stopped after `n_episodes`, meets the recorded
-    episodes in the recorded order.
+    Evaluations have fixed seeds, and each environment's number of episodes is fixed beforehand. So
+    the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order.
 
     Args:
         folder: The run's folder.
@@ -234,46 +220,41 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
 def _evaluated(record: RunRecord, n: int) -> Verdict:
     import torch  # what follows needs physics and networks; what precedes does not
 
-    from silem.study.evaluate import EVALUATION_SEED, episodes
-    from silem.study.policies import load_policy
+    from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
     from silem.study.training import task_options
 
     torch.set_num_threads(1)
     evaluation, config = record.evaluation, record.run_config()
-    policy, task = load_policy(record), task_options(config)
-    every = episodes(policy, config.learner, evaluation["n_episodes"], EVALUATION_SEED, **task)
-    there = list(itertools.islice(every, n))
-    every.close()
+    total, policy, task = evaluation["n_episodes"], load_policy(record), task_options(config)
+    with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:
+        there = list(itertools.islice(every, n))
     recorded = np.array(evaluation["returns"][:n])
     returns = np.array([round(episode.episode_return, 3) for episode in there])
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
-    if n == evaluation["n_episodes"]:
-        for name in ("speed_m_s", "upright"):
-            values = [getattr(episode, name) for episode in there]
-            if evaluation[name] is None:
-                same = same and set(values) == {None}
-            else:
-                same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
-    difference = abs(float(returns.mean() - recorded.mean()))
-    spread = max(evaluation["return_std"], float(returns.std()))
-    bound = TOLERANCE * spread * math.sqrt(2 / n)
+    for name in ("speed_m_s", "upright") if n == total else ():
+        values = [getattr(episode, name) for episode in there]
+        if evaluation[name] is None:
+            same = same and set(values) == {None}
+        else:
+            same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
         return Verdict(record.run_id, EXACT, why)
     if _made_here(record):
         return Verdict(record.run_id, NOT, f"{why}, though processor and libraries are the same")
-    outcome = WITHIN if difference <= bound else NOT
+    spread = max(evaluation["return_std"], float(returns.std()))
+    bound = TOLERANCE * spread * math.sqrt(2 / n)
+    outcome = WITHIN if abs(returns.mean() - recorded.mean()) <= bound else NOT
     return Verdict(record.run_id, outcome, f"{why}, allowed {bound:.1f} apart")
 
 
 def _made_here(record: RunRecord) -> bool:
     """Tell whether this processor, these kernels and these libraries evaluated a record."""
     here, there = provenance(), record.provenance
-    keys = ("processor", "kernels")
-    machines = [source.get("machine") or {} for source in (here, there)]
-    return all(machines[0].get(key) == machines[1].get(key) for key in keys) and all(
-        here["packages"][name] == there["packages"].get(name) for name in PACKAGES
+    machine, packages = there.get("machine") or {}, there["packages"]
+    return all(here["machine"][key] == machine.get(key) for key in ("processor", "kernels")) and (
+        here["packages"] == {name: packages.get(name) for name in PACKAGES}
     )
 
 
