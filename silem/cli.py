@@ -115,15 +115,8 @@ def parser() -> argparse.ArgumentParser:
         added = commands.add_parser(execute.__name__.strip("_"), help=text, description=text)
         added.set_defaults(command=execute)
         add = added.add_argument
-        about = "load a Python module that registers bodies of your own"
-        add(
-            "--import",
-            dest="modules",
-            action="append",
-            default=[],
-            metavar="MODULE",
-            help=own_bodies,
-        )
+        load = "load a Python module that registers bodies of your own"
+        add("--import", dest="modules", action="append", default=[], metavar="MODULE", help=load)
         add("--quiet", action="store_true", help="no progress bar")
         add("--with-input", action="store_true", help="stop when the standard input ends")
         return add
