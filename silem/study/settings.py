@@ -27,16 +27,12 @@ HUMAN = "cmu_08_01"
 class Method:
     """One way to make a policy.
 
-    Attributes:
-        about: What it is, for tables.
-        algorithm: The class in `silem.algorithms` that learns, or "" where nothing does.
-        transform: SILEM's state transformer, or None.
-        source: Whose demonstrations it learns from: the "original" body's expert (or the human),
-            the learner's "own" expert, the human's clip "retargeted" to the learner, or "".
+    It learns from demonstrations of the "original" body's expert (or the human), of its "own", of
+    the human's clip "retargeted" to its body, or from none ("").
     """
 
     about: str
-    algorithm: str = ""
+    algorithm: str = ""  # of `silem.algorithms`
     transform: str | None = None
     source: str = ""
 
@@ -253,19 +249,13 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """What the study takes for a family of bodies.
+    """What the study takes for a family of bodies."""
 
-    Attributes:
-        original: The demonstrations that its bodies learn from: a body's expert or a clip.
-        stand_in: The body whose best combinations one takes that the paper does not know.
-        chosen: Values that the paper leaves open and the family needs, or prints for it alone.
-        budgets: What a budget counts differently.
-    """
-
-    original: str
-    stand_in: str
+    original: str  # whose demonstrations its bodies learn from: a body's expert's or a clip
+    stand_in: str  # whose best combinations a body takes that the paper does not know
+    # what the paper leaves open and the family needs, or prints for it alone
     chosen: Mapping[str, Setting] = field(default_factory=dict)
-    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # what counts otherwise
 
 
 _MUJOCO = paper.common("humanoid")
@@ -301,7 +291,7 @@ FAMILIES = {
         },
     ),
 }
-"""What is chosen for each family of bodies; other families take HalfCheetah's."""
+"""By family of bodies; others take HalfCheetah's."""
 
 
 def budget_named(budget: str | Budget) -> Budget:
@@ -385,19 +375,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
 
 
 def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
-    """Return every hyper-parameter of one cell with where it comes from, the study apart.
+    """Return every hyper-parameter that a method uses on a body, with where it comes from.
 
-    The later overrules the earlier: the defaults, what is chosen for the family, the paper's
-    common table of the family, the paper's best combination of the cell.
-
-    Args:
-        body: The learner's body.
-        method: One of `METHODS`.
-        source: The demonstrations' name.
-
-    Returns:
-        Settings by name, only those that the method uses, in the order of `HyperParameters`, and
-        last the parameters of the body.
+    The later overrules the earlier: the defaults, what is chosen for the family, the paper's common
+    table of the family, the paper's best combination of the cell. They are in the order of
+    `HyperParameters`; the parameters of the body come last. `source` names the demonstrations.
     """
     family = bodies.get(body).family
     found = {
@@ -415,20 +397,16 @@ def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
 def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
     """Return the supplement's best combination of a cell, or of what stands in for it.
 
-    An expert takes SILEM's, as far as it uses it: of the humanoids' PPO the common table leaves
-    the number of epochs out.
+    That is SILEM's where there is none of the method. Experts too take it as far as they use it
+    where a clip demonstrates: of the humanoids' PPO the common table leaves the epochs out.
     """
-    if not METHODS[method].algorithm:
-        return {}
-    wanted = method
+    learns = METHODS[method].source
     if method == "ppo":
-        if _family(bodies.get(body).family).original in bodies.names():
-            return {}
-        wanted = "silem"
-    known = body if paper.best_table(body, wanted) else stand_in
-    if not paper.best_table(known, wanted) and METHODS[method].source:
-        wanted, known = "silem", body if paper.best_table(body, "silem") else stand_in
-    table = paper.best_table(known, wanted)
-    label = f"supplement, {table.label}, {known}" if table else ""
-    values = paper.best_combination(known, wanted, source if known == body else "")
-    return {name: Setting(value, label) for name, value in values.items()}
+        learns = _family(bodies.get(body).family).original not in bodies.names()
+    tried = [(m, b) for m in (method, "silem") for b in (body, stand_in)] if learns else []
+    for wanted, known in tried:
+        if table := paper.best_table(known, wanted):
+            label = f"supplement, {table.label}, {known}"
+            values = paper.best_combination(known, wanted, source if known == body else "")
+            return {name: Setting(value, label) for name, value in values.items()}
+    return {}
