@@ -45,13 +45,14 @@ class RandomPolicy:
     Its actions are not clipped, so that the task charges them as they are, as PyBullet's does.
 
     Args:
-        n_actions: A, the number of actuators.
+        body: The body that it moves, or its name.
         seed: The trial's seed.
         std: Standard deviation of every action.
     """
 
-    def __init__(self, n_actions: int, seed: int, std: float = 1.0) -> None:
-        self._n_actions, self._seed, self._std = n_actions, seed, std
+    def __init__(self, body: Body | str, seed: int = 0, std: float = 1.0) -> None:
+        moved = bodies.get(body) if isinstance(body, str) else body
+        self._n_actions, self._seed, self._std = moved.action_size, seed, std
         self.reseed(0)
 
     def reseed(self, seed: int) -> None:
@@ -64,12 +65,6 @@ class RandomPolicy:
         return self._std * self._generator.standard_normal(size, dtype=np.float32), None
 
 
-def random_policy(body: Body | str, seed: int = 0, std: float = 1.0) -> RandomPolicy:
-    """Return the random policy of a body, for the trial of a seed."""
-    found = bodies.get(body) if isinstance(body, str) else body
-    return RandomPolicy(found.action_size, seed, std)
-
-
 def load_policy(record: RunRecord) -> Policy:
     """Return a finished run's policy, ready to `predict`.
 
@@ -78,7 +73,7 @@ def load_policy(record: RunRecord) -> Policy:
     """
     config = record.run_config()
     if config.method == "random":
-        return random_policy(config.learner, config.seed, config.hyper.action_std)
+        return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
     policy = algorithms.load_policy(record.file(POLICY))
     if not config.hyper.clip_actions:
         policy.action_space = unclipped(policy.action_space)
@@ -87,19 +82,12 @@ def load_policy(record: RunRecord) -> Policy:
 
 @dataclass(frozen=True)
 class Episode:
-    """One finished episode.
+    """One finished episode."""
 
-    Attributes:
-        features: Skeletal features of all states, (T + 1, F) float32.
-        episode_return: Sum of the true rewards.
-        speed_m_s: Mean forward speed.
-        upright: Fraction of the steps with the alive bonus.
-    """
-
-    features: np.ndarray
-    episode_return: float
-    speed_m_s: float | None  # None where the environment does not say, as below
-    upright: float | None
+    features: np.ndarray  # skeletal features of all states, (T + 1, F) float32
+    episode_return: float  # sum of the true rewards
+    speed_m_s: float | None  # mean, forward; None where the environment does not say
+    upright: float | None  # fraction of the steps with the alive bonus, or None likewise
 
 
 @dataclass(frozen=True)
@@ -134,10 +122,10 @@ def episodes(
     over-represented.
 
     Args:
-        policy: What acts. Its random numbers restart from `seed`.
+        policy: What acts. Its random numbers restart from `seed`, as the environments' do.
         body: The body, or its name.
         n_episodes: How many episodes.
-        seed: Seed of the environments and of the policy.
+        seed: The seed.
         progress: Show a progress bar.
         **options: Of the environments (see `silem.envs.make_vec`).
 
@@ -192,16 +180,9 @@ def evaluate(
     progress: bool = False,
     **options: Any,
 ) -> Evaluation:
-    """Evaluate a policy over `n_episodes` episodes.
+    """Evaluate a policy by the true reward over `n_episodes` `episodes`, whose arguments these are.
 
-    Args:
-        policy: What acts (see `episodes`).
-        body: The body, or its name.
-        n_episodes: How many episodes.
-        seed: Seed of the environments and of the policy.
-        model: An imitator whose discriminator scores the episodes, if any.
-        progress: Show a progress bar.
-        **options: Of the environments (see `silem.study.training.task_options`).
+    A `model` is an imitator whose discriminator scores the episodes.
     """
     returns, speeds, uprights, scores = [], [], [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
@@ -235,14 +216,9 @@ def record_episodes(
     run_id: str = "",
     progress: bool = False,
 ) -> Demonstrations:
-    """Record state-only demonstrations of a policy.
+    """Record so many `episodes` of an expert's policy as state-only demonstrations.
 
-    Args:
-        policy: The expert (see `episodes`).
-        body: The expert's body.
-        n_trajectories: How many episodes.
-        run_id: The expert's run, "" if it is no run's.
-        progress: Show a progress bar.
+    `run_id` is the expert's run, "" if it is no run's.
     """
     seed = _DEMONSTRATION_SEED
     recorded = list(episodes(policy, body, n_trajectories, seed, progress=progress))

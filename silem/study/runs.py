@@ -188,7 +188,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     import torch  # here, so that looking runs up does not load it
 
     from silem.algorithms import GAIfO
-    from silem.study.evaluate import evaluate, random_policy
+    from silem.study.evaluate import RandomPolicy, evaluate
     from silem.study.training import make_env, make_model, task_options, train
 
     torch.set_num_threads(1)
@@ -202,7 +202,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     training: dict[str, Any] = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
     policy: Any
     if config.method == "random":
-        policy, names = random_policy(config.learner, config.seed, config.hyper.action_std), []
+        policy, names = RandomPolicy(config.learner, config.seed, config.hyper.action_std), []
     else:
         env = make_env(config)
         try:

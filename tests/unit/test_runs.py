@@ -22,7 +22,7 @@ from silem.study import runs, settings, training
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
-from silem.study.evaluate import evaluate, load_policy, random_policy
+from silem.study.evaluate import RandomPolicy, evaluate, load_policy
 from silem.study.record import (
     CURVE,
     CURVE_COLUMNS,
@@ -368,7 +368,7 @@ def test_a_saved_policy_repeats_its_evaluation(finished: dict[str, RunRecord]) -
 
 
 def test_trials_of_the_random_policy_differ() -> None:
-    returns = [evaluate(random_policy("HC0", seed), "HC0", 1).returns for seed in (0, 1, 0)]
+    returns = [evaluate(RandomPolicy("HC0", seed), "HC0", 1).returns for seed in (0, 1, 0)]
     assert returns[0] == returns[2] != returns[1]
 
 
