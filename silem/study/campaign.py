@@ -12,8 +12,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence, Set
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from silem.study.record import RunRecord
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
+_POLL_S = 0.2
 MAX_KILLS = 5
 """How often in a row a worker may be killed before its checkpoint advances, or its task failed."""
 
@@ -135,10 +136,8 @@ class _Pool:
         self.failures: dict[str, str] = {}
         self._pending = tasks
         self._done: set[str] = set()
-        self._running: dict[Future[str | None], Task] = {}
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, _Worker] = {}
         self._n_workers = n_workers
-        self._stopping = False
         todo = sum(task.arguments[0] == "run" for task in tasks)
         hidden = not progress
         self._overall = tqdm(
@@ -151,24 +150,29 @@ class _Pool:
 
     def work(self) -> None:
         """Run everything; stops the workers when interrupted."""
-        with ThreadPoolExecutor(self._n_workers) as executor:
-            try:
-                while self._pending or self._running:
-                    self._submit_ready(executor)
-                    finished, _ = wait(self._running, timeout=1.0, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        self._settle(self._running.pop(future), future.result())
-                    self._show()
-            except BaseException:
-                self._stopping = True
-                for process in list(self._processes.values()):
-                    process.send_signal(signal.SIGTERM)
-                raise
-            finally:
-                for bar in (*self._lines, self._overall):
-                    bar.close()
+        try:
+            while self._pending or self._running:
+                self._start_ready()
+                time.sleep(_POLL_S)
+                for worker in list(self._running.values()):
+                    if worker.ended():
+                        del self._running[worker.task.name]
+                        self._settle(worker.task, worker.failure)
+                lines = [_describe(worker.task) for worker in self._running.values()]
+                for i, bar in enumerate(self._lines):
+                    bar.set_description_str(lines[i] if i < len(lines) else "")
+                self._overall.refresh()
+        except BaseException:
+            for worker in self._running.values():
+                worker.process.send_signal(signal.SIGTERM)
+            for worker in self._running.values():
+                worker.process.wait()
+            raise
+        finally:
+            for bar in (*self._lines, self._overall):
+                bar.close()
 
-    def _submit_ready(self, executor: ThreadPoolExecutor) -> None:
+    def _start_ready(self) -> None:
         for task in list(self._pending):
             if len(self._running) == self._n_workers:
                 return
@@ -177,60 +181,61 @@ class _Pool:
                 self._settle(task, f"{task.name} needs {', '.join(sorted(broken))}, which failed")
             elif task.needs <= self._done:
                 self._pending.remove(task)
-                self._running[executor.submit(self._execute, task)] = task
+                self._running[task.name] = _Worker(task)
 
-    def _settle(self, task: Task, failure: str | None) -> None:
-        if failure is None:
-            self._done.add(task.name)
-        else:
+    def _settle(self, task: Task, failure: str) -> None:
+        if failure:
             self.failures[task.name] = failure
             self._overall.write(failure)
-        self._overall.update(task.arguments[0] == "run" and failure is None)
+        else:
+            self._done.add(task.name)
+            self._overall.update(task.arguments[0] == "run")
 
-    def _execute(self, task: Task) -> str | None:
-        """Run a task's command until it ends by itself; return what went wrong, if anything."""
-        log, kills = task.folder / "log.txt", 0
-        task.folder.mkdir(parents=True, exist_ok=True)
-        while kills < MAX_KILLS and not self._stopping:
-            before = _written(task.folder / CHECKPOINT)
-            code = self._spawn(task, log)
-            if code == 0:
-                return None
-            if code > 0:
-                lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
-                return f"{task.name} failed: {lines[-1]} (log: {log})"
-            kills = kills + 1 if _written(task.folder / CHECKPOINT) == before else 0
-        return f"{task.name} was stopped, or killed {MAX_KILLS} times without getting on"
 
-    def _spawn(self, task: Task, log: Path) -> int:
-        command = [sys.executable, "-m", "silem", *task.arguments, "--quiet", "--with-input"]
+class _Worker:
+    """A process that does a task, and the next one after each that was killed."""
+
+    def __init__(self, task: Task) -> None:
+        self.task, self.failure = task, ""
+        self._kills, self._log = 0, task.folder / "log.txt"
+        self._start()
+
+    def _start(self) -> None:
+        command = [sys.executable, "-m", "silem", *self.task.arguments, "--quiet", "--with-input"]
         for module in sorted({own.module_of(name) for name in bodies.names()} - {""}):
             command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         if root := paths.checkout():
             moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
+        self.task.folder.mkdir(parents=True, exist_ok=True)
+        self._reached = self._checkpoint()
         # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then stops
         # each worker once. Its input is a pipe that ends when the campaign does.
-        with open(log, "wb") as stream, subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
-            env=os.environ | moved, start_new_session=True,
-        ) as process:  # fmt: skip
-            self._processes[task.name] = process
-            if self._stopping:
-                process.send_signal(signal.SIGTERM)
-            code = process.wait()
-        del self._processes[task.name]
-        return code
+        with open(self._log, "wb") as stream:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
+                env=os.environ | moved, start_new_session=True,
+            )  # fmt: skip
 
-    def _show(self) -> None:
-        lines = [_describe(task) for task in self._running.values()]
-        for i, bar in enumerate(self._lines):
-            bar.set_description_str(lines[i] if i < len(lines) else "")
-        self._overall.refresh()
+    def _checkpoint(self) -> int:
+        path = self.task.folder / CHECKPOINT
+        return path.stat().st_mtime_ns if path.exists() else 0
 
-
-def _written(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.exists() else 0
+    def ended(self) -> bool:
+        """Return whether the task is done, or failed for the reason then in `failure`."""
+        code, name = self.process.poll(), self.task.name
+        if code is None:
+            return False
+        if code > 0:
+            lines = self._log.read_text(errors="replace").strip().splitlines() or ["no message"]
+            self.failure = f"{name} failed: {lines[-1]} (log: {self._log})"
+        elif code < 0:
+            self._kills = self._kills + 1 if self._checkpoint() == self._reached else 0
+            if self._kills < MAX_KILLS:
+                self._start()
+                return False
+            self.failure = f"{name} was killed {MAX_KILLS} times without getting on"
+        return True
 
 
 def _describe(task: Task) -> str:

@@ -79,14 +79,10 @@ def finished(config: RunConfig) -> RunRecord | None:
 
 
 def instead_of(path: Path) -> str:
-    """Say how something else is made than what lies at a path; what is committed is not replaced.
-
-    A record or demonstrations that others rest on are in the checkout's own data folder.
-    """
+    """Say how something else is made than what lies at a path: what is committed is kept."""
     root = paths.checkout()
-    kept = root is not None and any(
-        path.is_relative_to(root / "data" / name) for name in ("results", "demonstrations")
-    )
+    committed = [root / "data" / name for name in ("results", "demonstrations")] if root else []
+    kept = any(path.is_relative_to(folder) for folder in committed)
     return "set SILEM_DATA_DIR to another folder" if kept else "replace it with --force"
 
 
@@ -207,7 +203,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
         env = make_env(config)
         try:
             policy = make_model(config, env, demonstrations)
-            curve = train(policy, config, folder, start, spent, progress=progress)
+            curve = train(policy, config, folder, start, spent, progress)
         finally:
             env.close()
         names = _write_outcome(folder, policy, curve, config.run_id)

@@ -400,7 +400,7 @@ def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setti
     That is SILEM's where there is none of the method. Experts too take it as far as they use it
     where a clip demonstrates: of the humanoids' PPO the common table leaves the epochs out.
     """
-    learns = METHODS[method].source
+    learns = bool(METHODS[method].source)
     if method == "ppo":
         learns = _family(bodies.get(body).family).original not in bodies.names()
     tried = [(m, b) for m in (method, "silem") for b in (body, stand_in)] if learns else []

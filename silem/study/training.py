@@ -76,9 +76,6 @@ def arguments(config: RunConfig) -> dict[str, Any]:
 
     PPO is that of OpenAI baselines' ppo1, the paper's: separate policy and value networks, linear
     decay of the learning rate to 0, no gradient clipping, no entropy bonus.
-
-    Args:
-        config: The run; any method but ``random``.
     """
     hyper, budget = config.hyper, config.budget
     layers = list(hyper.policy_hidden)
@@ -140,12 +137,9 @@ def settings(
 
 
 def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
-    """Build a run's untrained model.
+    """Build the untrained model of a run of any method but ``random``.
 
-    Args:
-        config: The run; any method but ``random``.
-        env: The training environments.
-        demonstrations: The expert's, at least as many as the run uses; None for an expert.
+    The demonstrations are at least as many as the run uses; None for an expert.
     """
     make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
     data = [demonstrations.first(config.hyper.n_trajectories)] if demonstrations else []
@@ -153,23 +147,10 @@ def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | 
 
 
 class Segments(BaseCallback):
-    """Cuts training into segments, keeps the learning curve and shows progress.
-
-    Args:
-        config: The run.
-        folder: Where the checkpoint and the progress file go.
-        start: What training goes on from; at iteration 0 it holds no model yet.
-        spent: The time of all sessions.
-        bar: The progress bar.
-    """
+    """Cuts a training into segments, keeps its learning curve and shows progress (see `train`)."""
 
     def __init__(
-        self,
-        config: RunConfig,
-        folder: Path,
-        start: Checkpoint,
-        spent: Stopwatch,
-        bar: tqdm[Any],
+        self, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, bar: tqdm[Any]
     ) -> None:
         super().__init__()
         self._config, self._folder, self._start = config, folder, start
@@ -237,20 +218,14 @@ class Segments(BaseCallback):
 
 
 def train(
-    model: PPO,
-    config: RunConfig,
-    folder: Path,
-    start: Checkpoint,
-    spent: Stopwatch,
-    *,
-    progress: bool,
+    model: PPO, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, progress: bool
 ) -> np.ndarray:
     """Train a model from a checkpoint's iteration to the end of its budget.
 
     Args:
         model: From `make_model`; given the checkpoint's state here.
         config: The run.
-        folder: The run's working folder.
+        folder: Where checkpoint and progress file go.
         start: The checkpoint to go on from; iteration 0 means a fresh start.
         spent: The time of all sessions.
         progress: Show a progress bar.

@@ -195,12 +195,8 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
     """Check a record and all it rests on, and evaluate its policy anew on its first episodes.
 
     Evaluations have fixed seeds, and each environment's number of episodes is fixed beforehand. So
-    the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order.
-
-    Args:
-        folder: The run's folder.
-        n_episodes: How many episodes; 0 leaves the policy alone. All of them also verify speed and
-            share upright.
+    the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order;
+    all of them also verify speed and share upright, none leaves the policy alone.
 
     Returns:
         `EXACT` if every return is the recorded one. `WITHIN` if they are not, the record's
@@ -259,11 +255,7 @@ def _made_here(record: RunRecord) -> bool:
 
 
 def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterator[Verdict]:
-    """Verify one run, or a study's published records, or all of them and the demonstrations.
-
-    Args:
-        name: A run's id or a study; None means everything that is published.
-        n_episodes: As for `verify`.
+    """Verify one run, or a study's published records, or (None) all of them and demonstrations.
 
     Raises:
         SilemError: There is nothing of this name.

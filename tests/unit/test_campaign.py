@@ -112,20 +112,24 @@ def test_a_worker_fails_that_is_killed_again_and_again_without_getting_on(
     monkeypatch: pytest.MonkeyPatch, data: Path
 ) -> None:
     """What is killed by a signal starts anew; only a checkpoint that advances starts the count."""
-    config, spawned = RunConfig.create("HC0", "ppo"), []
+    config, started = RunConfig.create("HC0", "ppo"), []
     checkpoint = runs.run_folder(config) / "checkpoint.safetensors"
 
-    def spawn(pool: Any, task: campaign.Task, log: Path) -> int:
-        spawned.append(task.name)
-        if len(spawned) <= 20:
-            checkpoint.write_bytes(b"")
-            os.utime(checkpoint, ns=(len(spawned), len(spawned)))
-        return -signal.SIGKILL
+    class Killed:
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            started.append(self)
 
-    monkeypatch.setattr(campaign._Pool, "_spawn", spawn)
+        def poll(self) -> int:
+            if len(started) <= 20:
+                checkpoint.write_bytes(b"")
+                os.utime(checkpoint, ns=(len(started), len(started)))
+            return -signal.SIGKILL
+
+    monkeypatch.setattr(campaign, "_POLL_S", 0)
+    monkeypatch.setattr(campaign.subprocess, "Popen", Killed)
     with pytest.raises(SilemError, match=f"killed {campaign.MAX_KILLS} times without getting on"):
         campaign.campaign([config], n_workers=1, progress=False)
-    assert len(spawned) == 20 + campaign.MAX_KILLS
+    assert len(started) == 20 + campaign.MAX_KILLS
 
 
 def test_a_failure_is_reported_after_all_others_were_made(data: Path) -> None:
