@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import importlib.metadata
-import io
 import os
 import platform
 import re
@@ -201,12 +199,10 @@ def thinned(curve: np.ndarray) -> np.ndarray:
 
 def curve_csv(curve: np.ndarray) -> str:
     """Return a curve, thinned, as CSV text: 5 significant digits, blank for NaN."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     rows = thinned(curve)
     used = [i for i in range(len(CURVE_COLUMNS)) if i < _ALWAYS or not np.isnan(rows[:, i]).all()]
-    writer.writerow([CURVE_COLUMNS[i] for i in used])
+    lines = [[CURVE_COLUMNS[i] for i in used]]
     for values in rows[:, used]:
         numbers = ["" if np.isnan(value) else f"{value:.5g}" for value in values[2:]]
-        writer.writerow([*(int(value) for value in values[:2]), *numbers])
-    return stream.getvalue()
+        lines.append([*(str(int(value)) for value in values[:2]), *numbers])
+    return "".join(",".join(line) + "\n" for line in lines)

@@ -27,6 +27,7 @@ from silem.study.record import (
     git,
     provenance,
 )  # fmt: skip
+from silem.study.settings import Budget
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
@@ -66,15 +67,8 @@ def check(folder: Path) -> RunRecord:
     """
     record = RunRecord.load(folder)
     try:
-        config = record.run_config()
-        if not config.run_id == record.run_id == folder.name:
-            raise SilemError(
-                f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
-            )
-        _check_finite({"evaluation": record.evaluation, "training": record.training})
-        _check_counts(record, config)
-        _check_ranges(record)
-        _check_files(record, config)
+        for fault in _faults(record, folder.name):
+            raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -82,85 +76,87 @@ def check(folder: Path) -> RunRecord:
     return record
 
 
-def _check_finite(value: Any, where: str = "record") -> None:
-    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise SilemError(f"{where} is not finite")
-    if isinstance(value, list):
-        value = dict(enumerate(value))
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            _check_finite(entry, f"{where}.{key}")
+def _faults(record: RunRecord, name: str) -> Iterator[str]:
+    """Yield what is wrong with a record of that name, each in the knowledge of what precedes."""
+    config, evaluation, training = record.run_config(), record.evaluation, record.training
+    if not config.run_id == record.run_id == name:
+        yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
+    yield from _not_finite({"evaluation": evaluation, "training": training})
 
+    returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
+    if not len(returns) == evaluation["n_episodes"] == n_episodes:
+        counted = f"{len(returns)} returns of {evaluation['n_episodes']} episodes"
+        yield f"{counted}; its budget has {n_episodes}"
+    n_steps = config.budget.n_steps if config.method != "random" else 0
+    if training["n_steps"] != n_steps:
+        yield f"{training['n_steps']} steps of training; its budget: {n_steps}"
+    for kind, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
+        if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
+            yield f"return_{kind} is not the {kind} of the episodes' returns"
 
-def _check_counts(record: RunRecord, config: RunConfig) -> None:
-    evaluation, budget = record.evaluation, config.budget
-    returns = evaluation["returns"]
-    if not len(returns) == evaluation["n_episodes"] == budget.n_eval_episodes:
-        raise SilemError(
-            f"{len(returns)} returns of {evaluation['n_episodes']} episodes; its budget has"
-            f" {budget.n_eval_episodes}"
-        )
-    n_steps = budget.n_steps if config.method != "random" else 0
-    if record.training["n_steps"] != n_steps:
-        raise SilemError(f"{record.training['n_steps']} steps of training; its budget: {n_steps}")
-    for name, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
-        if abs(float(found) - evaluation[f"return_{name}"]) > _ROUNDING:
-            raise SilemError(f"return_{name} is not the {name} of the episodes' returns")
-
-
-def _check_ranges(record: RunRecord) -> None:
-    evaluation, speed_m_s = record.evaluation, record.evaluation["speed_m_s"]
     # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
     # What other environments pay is not known, nor how fast they are.
+    speed_m_s = evaluation["speed_m_s"]
     highest = math.inf if speed_m_s is None else MAX_STEPS * (1 + max(0.0, speed_m_s))
-    for name, value, low, high in (
+    for what, value, low, high in (
         ("upright", evaluation["upright"], 0.0, 1.0),
         ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S),
         ("return_mean", evaluation["return_mean"], -math.inf, highest),
         ("wall_time_s", record.wall_time_s, 0.0, math.inf),
         ("processor_time_s", record.processor_time_s, 0.0, math.inf),
-        ("steps_per_s", record.training["steps_per_s"], 0.0, math.inf),
+        ("steps_per_s", training["steps_per_s"], 0.0, math.inf),
     ):
         if value is not None and not (low <= value <= high and value < math.inf):
-            raise SilemError(f"{name} is {value:g}; it can be {low:g} to {high:g}")
+            yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
+    yield from _faults_of_files(record, config)
+
+
+def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
     if record.status != "finished":
-        raise SilemError(f"status is {record.status!r}; a record is of a finished run")
-    if (record.demonstrations_sha256 is None) != (not record.config["demonstrations"]):
-        raise SilemError(f"demonstrations_sha256 is {record.demonstrations_sha256!r}")
+        yield f"status is {record.status!r}; a record is of a finished run"
+    if (record.demonstrations_sha256 is None) != (not config.demonstrations):
+        yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
 
-
-def _check_files(record: RunRecord, config: RunConfig) -> None:
     expected = [] if config.method == "random" else [CURVE, POLICY]
     expected += [TRANSFORM] if config.transform == "affine" else []
     if sorted(record.files) != sorted(expected):
-        raise SilemError(f"it has the files {sorted(record.files)}; expected: {sorted(expected)}")
+        yield f"it has the files {sorted(record.files)}; expected: {sorted(expected)}"
     if POLICY in expected:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
-            raise SilemError(f"{POLICY} is the policy of {about.get('run_id')!r}")
-        _check_curve(files.read_csv(record.file(CURVE)), config)
+            yield f"{POLICY} is the policy of {about.get('run_id')!r}"
+        yield from _faults_of_curve(files.read_csv(record.file(CURVE)), config.budget)
     if TRANSFORM in expected:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
         if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
-            raise SilemError(f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each")
+            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
         if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise SilemError(f"{TRANSFORM} holds NaN or infinity")
+            yield f"{TRANSFORM} holds NaN or infinity"
 
 
-def _check_curve(columns: dict[str, np.ndarray], config: RunConfig) -> None:
+def _not_finite(value: Any, where: str = "record") -> Iterator[str]:
+    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"{where} is not finite"
+    if isinstance(value, list):
+        value = dict(enumerate(value))
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _not_finite(entry, f"{where}.{key}")
+
+
+def _faults_of_curve(columns: dict[str, np.ndarray], budget: Budget) -> Iterator[str]:
     if list(columns) != [name for name in CURVE_COLUMNS if name in columns]:
-        raise SilemError(f"{CURVE} has the columns {', '.join(columns)}")
-    iterations, budget = columns["iteration"], config.budget
-    steps = iterations * budget.steps_per_iteration
+        yield f"{CURVE} has the columns {', '.join(columns)}"
+    iterations = columns["iteration"]
     if (
         not 1 <= len(iterations) <= MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
-        or not np.array_equal(columns["timesteps"], steps)
+        or not np.array_equal(columns["timesteps"], iterations * budget.steps_per_iteration)
     ):
-        raise SilemError(f"{CURVE} is no curve of {budget.n_iterations} iterations")
+        yield f"{CURVE} is no curve of {budget.n_iterations} iterations"
 
 
 def check_source(record: RunRecord) -> None:
