@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
@@ -36,19 +36,12 @@ MAX_KILLS = 5
 
 @dataclass
 class Task:
-    """One command for a worker.
+    """One command for a worker."""
 
-    Attributes:
-        name: A run's id, or "demonstrations HC0".
-        arguments: What follows ``silem``.
-        folder: Where its log goes and its progress file and checkpoint may stand.
-        needs: Names of the tasks that must be done before.
-    """
-
-    name: str
-    arguments: list[str]
-    folder: Path
-    needs: set[str] = field(default_factory=set)
+    name: str  # a run's id, or "demonstrations HC0"
+    arguments: list[str]  # what follows ``silem``
+    folder: Path  # where its log goes and its progress file and checkpoint may stand
+    needs: set[str]  # names of the tasks that must be done before
 
 
 def plan(configs: Sequence[RunConfig]) -> list[Task]:
@@ -106,9 +99,6 @@ def campaign(
         configs: The runs.
         n_workers: Worker processes at a time; each keeps one core busy.
         progress: Show one overall bar, and a line per running run.
-
-    Returns:
-        The records, in the order of `configs`.
 
     Raises:
         SilemError: As `plan`, before anything starts; or some runs failed, after all others were

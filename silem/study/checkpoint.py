@@ -30,27 +30,16 @@ _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything a training goes on from.
-
-    Attributes:
-        run_id: The run it belongs to.
-        iteration: Finished iterations.
-        wall_time_s: Time spent so far, over all sessions.
-        processor_time_s: Processor time spent so far; None where an earlier session did not count.
-        commits: The code's commits of the sessions so far.
-        demonstrations_sha256: Hash of the demonstrations' file; "" where none are used.
-        curve: Learning curve so far, (iteration, columns) with NaN for blank.
-        model: The model's `state_arrays`.
-    """
+    """Everything a training goes on from."""
 
     run_id: str
-    iteration: int
-    wall_time_s: float
-    processor_time_s: float | None
-    commits: tuple[str, ...]
-    demonstrations_sha256: str
-    curve: np.ndarray
-    model: dict[str, np.ndarray]
+    iteration: int  # finished
+    wall_time_s: float  # over all sessions, as what follows
+    processor_time_s: float | None  # None where an earlier session did not count
+    commits: tuple[str, ...]  # of the code
+    demonstrations_sha256: str  # of their file; "" where none are used
+    curve: np.ndarray  # (iteration, columns), NaN for blank
+    model: dict[str, np.ndarray]  # its `state_arrays`
 
     @classmethod
     def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
@@ -115,16 +104,13 @@ class Checkpoint:
         if found.curve.ndim != 2 or found.curve.shape[1] != len(CURVE_COLUMNS):
             raise SilemError(f"{path} is of an older version: its curve is another; {advice}")
         if found.run_id != config.run_id:
-            raise SilemError(
-                f"{path} is a checkpoint of {found.run_id}, not {config.run_id}; {advice}"
-            )
-        if found.demonstrations_sha256 != demonstrations_sha256:
-            raise SilemError(
-                f"{path} was made with other demonstrations than those there now; bring those"
-                f" back, or {advice}"
-            )
-        if wrong := found._implausible(config):
-            raise SilemError(f"damaged checkpoint: {path} {wrong}; {advice}")
+            wrong = f"{path} is a checkpoint of {found.run_id}, not {config.run_id}"
+        elif found.demonstrations_sha256 != demonstrations_sha256:
+            wrong = f"{path} was made with other demonstrations than there are now (bring those back)"
+        elif wrong := found._implausible(config):
+            wrong = f"damaged checkpoint: {path} {wrong}"
+        if wrong:
+            raise SilemError(f"{wrong}; {advice}")
         return found
 
     def _implausible(self, config: RunConfig) -> str:

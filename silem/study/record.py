@@ -113,9 +113,6 @@ class RunRecord:
         return path
 
 
-# ---------------------------------------------------------------- where it came from
-
-
 def provenance() -> dict[str, Any]:
     """Return what the code runs on: commit, pinned environment, package versions, machine.
 
@@ -168,9 +165,6 @@ def git(*arguments: str) -> str | None:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-
-
-# ---------------------------------------------------------------- its learning curve
 
 
 def curve_row(iteration: int, timesteps: int, stats: dict[str, float]) -> np.ndarray:

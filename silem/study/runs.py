@@ -96,9 +96,6 @@ def state(config: RunConfig) -> str:
     return "part" if (folder / CHECKPOINT).exists() else "missing"
 
 
-# ---------------------------------------------------------------- how they are stopped
-
-
 @contextmanager
 def sigterm_as_interrupt() -> Iterator[None]:
     """Raise KeyboardInterrupt on SIGTERM while the block runs: there is one way to stop.
@@ -131,9 +128,6 @@ def stop_with_input() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-# ---------------------------------------------------------------- how they are made
 
 
 def run(

@@ -18,18 +18,14 @@ Settings = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a study's figures: a method on a body, from some expert, over all trials.
-
-    ``overrides`` are the hyper-parameters that differ from the supplement's best combination,
-    ``n_iterations`` what differs from the budget's.
-    """
+    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
 
     study: str
     method: str
     body: str
     demonstrations: str | None = None
-    overrides: Settings = ()
-    n_iterations: int | None = None
+    overrides: Settings = ()  # hyper-parameters other than the supplement's best combination
+    n_iterations: int | None = None  # other than the budget's
 
     def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
@@ -44,16 +40,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Study:
-    """Cells that are read together.
+    """Cells that are read together."""
 
-    Attributes:
-        cells: Experts first.
-        seeds: The trials' root seeds, fixed before any run was made.
-        about: What the study is for, in one sentence.
-    """
-
-    cells: tuple[Cell, ...]
-    seeds: tuple[int, ...]
+    cells: tuple[Cell, ...]  # experts first
+    seeds: tuple[int, ...]  # the trials' root seeds, fixed before any run was made
     about: str
 
 
