@@ -76,22 +76,12 @@ def demonstrate(
 ) -> Path:
     """Record state-only demonstrations of a finished run's stochastic policy and publish them.
 
-    Failed episodes stay in; the manifest says how many, and a runner's `Gait`.
-
-    Args:
-        record: The expert's run.
-        n_trajectories: How many episodes.
-        name: What imitators find them by; None means the expert's body, whose demonstrator it
-            then is.
-        force: Replace demonstrations that another run made.
-        progress: Show a progress bar.
-
-    Returns:
-        The file, named ``name``.
+    Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
+    file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
 
     Raises:
-        SilemError: The run is no expert's, or there are demonstrations of this name by another
-            run already.
+        SilemError: The run is no expert's, or, without `force`, there are demonstrations of this
+            name by another run already.
     """
     from silem.study.evaluate import load_policy, record_episodes
 

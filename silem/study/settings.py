@@ -350,7 +350,8 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
     Raises:
         SilemError: The method does not learn from those wanted.
     """
-    source, original = METHODS[method].source, _family(bodies.get(body).family).original
+    source, family = METHODS[method].source, bodies.get(body).family
+    original = _family(family).original
     if not source:
         if wanted:
             raise SilemError(f"method {method!r} uses no demonstrations")
@@ -369,7 +370,7 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
     if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
         choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
-    if not wanted and bodies.get(body).family not in FAMILIES:
+    if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
 

@@ -184,16 +184,11 @@ def study_configs(
         SilemError: An unknown study or budget, or more trials than there are fixed seeds.
     """
     budget = budget_named(budget)
-    seeds = seeds_of(study, budget, n_trials)
+    kept, seeds = cells(study), seeds_of(study, budget, n_trials)
     for name, wanted in only.items():
-        allowed = dict.fromkeys(getattr(cell, name) for cell in cells(study))
         for value in wanted or ():
-            choose(name, value, allowed)
-    kept = [
-        cell
-        for cell in cells(study)
-        if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
-    ]
+            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in cells(study)))
+        kept = [cell for cell in kept if not wanted or getattr(cell, name) in wanted]
     return [cell.config(budget, seed) for seed in seeds for cell in kept]
 
 

@@ -120,15 +120,7 @@ def settings(
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
     trains: the paper's best combination where it prints one, this project's choice elsewhere.
 
-    Args:
-        body: The learner's body.
-        method: One of `METHODS` but ``random``.
-        budget: Whose number of steps per iteration and environments count.
-        seed: The run's root seed.
-        **hyper: Hyper-parameters to be changed.
-
-    Raises:
-        SilemError: As `RunConfig.create`; or the method learns nothing.
+    Args and errors are those of `RunConfig.create`; ``random``, which learns nothing, is refused.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
@@ -220,18 +212,9 @@ class Segments(BaseCallback):
 def train(
     model: PPO, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, progress: bool
 ) -> np.ndarray:
-    """Train a model from a checkpoint's iteration to the end of its budget.
+    """Train a model of `make_model` from a checkpoint's iteration to the end of its budget.
 
-    Args:
-        model: From `make_model`; given the checkpoint's state here.
-        config: The run.
-        folder: Where checkpoint and progress file go.
-        start: The checkpoint to go on from; iteration 0 means a fresh start.
-        spent: The time of all sessions.
-        progress: Show a progress bar.
-
-    Returns:
-        The learning curve, (iterations, columns).
+    Checkpoints and the progress file go to `folder`. Returns the curve, (iterations, columns).
     """
     if start.iteration:
         model.load_state_arrays(start.model)
