@@ -107,7 +107,7 @@ class Checkpoint:
             wrong = f"{path} is a checkpoint of {found.run_id}, not {config.run_id}"
         elif found.demonstrations_sha256 != demonstrations_sha256:
             wrong = (
-                f"{path} was made with other demonstrations than there are now (bring those back)"
+                f"{path} was made with other demonstrations (bring those back)"
             )
         elif wrong := found._implausible(config):
             wrong = f"damaged checkpoint: {path} {wrong}"

@@ -120,7 +120,10 @@ def settings(
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
     trains: the paper's best combination where it prints one, this project's choice elsewhere.
 
-    Args and errors are those of `RunConfig.create`; ``random``, which learns nothing, is refused.
+    The arguments are those of `RunConfig.create`.
+
+    Raises:
+        SilemError: As there; or the method learns nothing.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
