@@ -193,7 +193,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
     if path.exists() and not is_published(name):
         raise SilemError(
             f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
-            " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
+            " it again, with `silem demonstrations` or `silem mocap`"
         )
     there = Demonstrations.load(name)
     about = manifest().get(path.stem, {"body": there.body})
