@@ -33,8 +33,7 @@ from silem.envs import Camera
 from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrator
 from silem.report import style
-from silem.study.evaluate import Policy, random_policy
-from silem.study.policies import load_policy
+from silem.study.evaluate import Policy, RandomPolicy, load_policy
 from silem.study.record import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import SilemError, choose
@@ -104,7 +103,7 @@ def rollout(
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
-    policy = policy or random_policy(found)
+    policy = policy or RandomPolicy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
     made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
