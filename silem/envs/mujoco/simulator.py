@@ -70,7 +70,9 @@ class Simulation:
         """
         self._controls[:] = actions
         self._batch.step(nstep=self.body.n_substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
-        failed = self._n_failures.any(axis=1) if np.count_nonzero(self._n_failures) else self._none
+        if not np.count_nonzero(self._n_failures):
+            return self._none
+        failed = self._n_failures.any(axis=1)
         self._n_failures[:] = 0
         return failed
 
