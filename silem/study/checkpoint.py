@@ -106,9 +106,7 @@ class Checkpoint:
         if found.run_id != config.run_id:
             wrong = f"{path} is a checkpoint of {found.run_id}, not {config.run_id}"
         elif found.demonstrations_sha256 != demonstrations_sha256:
-            wrong = (
-                f"{path} was made with other demonstrations (bring those back)"
-            )
+            wrong = f"{path} was made with other demonstrations (bring those back)"
         elif wrong := found._implausible(config):
             wrong = f"damaged checkpoint: {path} {wrong}"
         if wrong:
