@@ -161,7 +161,7 @@ def no_offscreen_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise SilemError("no offscreen rendering with MUJOCO_GL='disable'")
 
-    monkeypatch.setattr(film, "MujocoCamera", refuse)
+    monkeypatch.setattr(film, "Camera", refuse)
 
 
 @pytest.fixture
