@@ -98,7 +98,7 @@ def demonstrate(
             if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
                 raise SilemError(
                     f"{path} holds {len(there.features)} trajectories of"
-                    f" {there.expert_run_id or 'another expert'} already; to record others,"
+                    f" {there.expert_run_id or 'another expert'} already;"
                     f" {runs.instead_of(path)}"
                 )
             if demos.is_published(name):

@@ -375,7 +375,7 @@ def test_trials_of_the_random_policy_differ() -> None:
 def test_demonstrations_of_an_expert(
     data: Path, finished: dict[str, RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(SilemError, match="trajectories of walks already; --force"):
+    with pytest.raises(SilemError, match="trajectories of walks already; replace it with --force"):
         demonstrate(finished["ppo"], 1)
     path = demonstrate(finished["ppo"], 1, force=True)
     made = Demonstrations.load("HC0")
