@@ -13,7 +13,8 @@ import pytest
 from silem.bodies import humanoid
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
-from silem.report import figures, results
+from silem.report import results
+from silem.report.figures import sources
 from silem.study import verify
 from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import expert_of
@@ -24,7 +25,7 @@ from silem.util import files, paths
 DATA = paths.REPO / "data"
 RECORDS = sorted((DATA / "results").glob(f"*/*/{RECORD}"))
 STUDIES = sorted({path.parent.parent.name for path in RECORDS})
-FIGURES = [(study, name) for study in STUDIES for name in figures.OF_STUDY.get(study, ())]
+FIGURES = [(study, name) for study in STUDIES for name in sources.OF_STUDY.get(study, ())]
 MANIFEST_PATH = DATA / "demonstrations" / MANIFEST
 MANIFEST_CONTENT = files.read_json(MANIFEST_PATH) if MANIFEST_PATH.is_file() else {}
 MAX_BYTES = 1_000_000  # of one committed file: evidence, not checkpoints
@@ -89,7 +90,7 @@ def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
 def test_every_cell_of_a_published_figure_has_a_run(study: str, name: str) -> None:
     records = results.load_records(study, "book")
     there = set(zip(records["method"], records["body"], records["seed"], strict=True))
-    missing = figures.runs_of(name, records).attrs["missing"]
+    missing = sources.runs_of(name, records).attrs["missing"]
     # a run of another number of iterations stands in for the planned one, and is marked so
     first = [
         run["command"]
