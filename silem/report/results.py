@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -51,20 +52,16 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
-    policy counts once per body, because every evaluation meets the same episodes.
-
-    A planned run that is not finished may be stood in for by the longest run that differs from it
-    in nothing but its number of iterations (`Budget.with_iterations`). It is a ``stand_in``, its
-    planned run stays listed as missing, and `cell` leaves it out.
+    policy counts once per body, because every evaluation meets the same episodes. The longest run
+    that differs from a missing one in its number of iterations alone stands in for it
+    (``stand_in``); `cell` leaves it out.
 
     Returns:
-        `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes;
-        ``normalised`` divides it by ``expert_return``, the mean return of the same body's PPO
-        experts (paper, Figure 2), which another study may have trained, and is NaN where there is
-        none or where it is not positive, so that a ratio would mean nothing; ``disc_reward`` is
-        the discriminator's reward of an episode. ``attrs`` holds ``study``, ``budget``,
-        ``missing`` (a list of dicts: body, method, demonstrations, seed, run_id, command) and
-        ``set_aside`` (run ids).
+        `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
+        ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
+        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
+        episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
+        dicts) and ``set_aside`` (run ids).
 
     Raises:
         SilemError: Unknown study or budget, or a record that `silem.study.verify` refuses.
@@ -82,12 +79,12 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         else:
             set_aside.append(record.run_id)
     rows = []
-    for plan, (*others, chosen) in (
-        (plan, sorted(found, key=lambda r: (r.run_id == plan.run_id, _n_iterations(r))))
-        for plan, found in planned.values()
-    ):
-        rows.append(_row(chosen, plan))
-        set_aside += [record.run_id for record in others]
+    for plan, found in planned.values():
+        row = max(
+            (_row(r, plan) for r in found), key=lambda r: (not r["stand_in"], r["n_iterations"])
+        )
+        rows.append(row)
+        set_aside += [record.run_id for record in found if record.run_id != row["run_id"]]
     frame = pd.DataFrame(rows, columns=COLUMNS[:-2])
     frame = frame.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
     frame = frame.sort_values(_KEYS, key=_order).reset_index(drop=True)
@@ -143,17 +140,13 @@ def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
     return None
 
 
-def _n_iterations(record: RunRecord) -> int:
-    return int(record.config["budget"]["n_iterations"])
-
-
 def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
-    evaluation, source = record.evaluation, record.provenance
+    config, evaluation, source = record.run_config(), record.evaluation, record.provenance
     return {
-        **_keys(record.run_config()),
+        **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
         "disc_reward": evaluation["disc_reward_mean"],
-        "n_iterations": _n_iterations(record),
+        "n_iterations": config.budget.n_iterations,
         "planned_iterations": plan.budget.n_iterations,
         "stand_in": record.run_id != plan.run_id,
         "n_steps": record.training["n_steps"],
@@ -173,15 +166,13 @@ def _keys(config: RunConfig) -> dict[str, Any]:
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
     """Add the level of each body's experts, which another study may have trained, and the ratio."""
     if any(cell.method == "ppo" for cell in cells(study)):
-        trained = frame[frame["method"].eq("ppo") & ~frame["stand_in"]]
-        level = trained.groupby("body")["return_mean"].mean()
+        known = frame[frame["method"].eq("ppo") & ~frame["stand_in"]]
     else:
-        found = {body: [runs.find(config.run_id) for config in experts(body, budget)]
-                 for body in frame["body"].unique()}  # fmt: skip
-        level = pd.Series({
-            body: pd.Series([r.evaluation["return_mean"] for r in records if r], dtype=float).mean()
-            for body, records in found.items()
-        })  # fmt: skip
+        plans = chain.from_iterable(experts(body, budget) for body in frame["body"].unique())
+        found = [(plan.body, runs.find(plan.run_id)) for plan in plans]
+        returns = [(body, run.evaluation["return_mean"]) for body, run in found if run]
+        known = pd.DataFrame(returns, columns=["body", "return_mean"])
+    level = known.groupby("body")["return_mean"].mean()
     expert_return = frame["body"].map(level).astype(float)
     normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)
     return frame.assign(expert_return=expert_return, normalised=normalised)
@@ -204,20 +195,21 @@ def context(frame: pd.DataFrame) -> tuple[str, str]:
     """
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
-    for body, counts in _trained(frame).groupby("body")["n_iterations"].unique().items():
+    for body, counts in trained(frame).groupby("body")["n_iterations"].unique().items():
         if len(counts) > 1:
             raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
     return frame.attrs["study"], frame.attrs["budget"]
 
 
-def _trained(frame: pd.DataFrame) -> pd.DataFrame:
+def trained(frame: pd.DataFrame) -> pd.DataFrame:
+    """Keep the runs that were trained for as long as planned."""
     return frame[(frame["method"] != "random") & ~frame["stand_in"]]
 
 
 def describe(frame: pd.DataFrame) -> str:
     """Say in one line what a table holds: budget, iterations, runs, missing runs."""
     parts = [f"budget {context(frame)[1]}"]
-    by_body = _trained(frame).groupby("body")["n_iterations"].first()
+    by_body = trained(frame).groupby("body")["n_iterations"].first()
     if by_body.nunique() == 1:
         parts[0] += f" ({by_body.iloc[0]:,} iterations)"
     elif len(by_body):
@@ -275,8 +267,8 @@ def select(
 
     Args:
         frame: Runs of one study at one budget.
-        methods: The methods to keep.
-        names: The bodies to keep, in the order in which figures show them; None keeps all.
+        methods: The methods.
+        names: The bodies, in the order in which figures show them; None keeps all.
         with_stand_ins: Keep the runs of another number of iterations than planned.
     """
     shown = list(names or body_names(frame))

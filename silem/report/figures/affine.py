@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from silem import paper
 from silem.report import results, style
 from silem.report.features import Group, feature_groups, feature_names
-from silem.report.figures import sources
+from silem.report.figures import cells, sources
 from silem.util.errors import SilemError, choose
 
 _BODY_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -21,16 +21,12 @@ _ENTRIES = {
     "scale": ("A", 1.0, "A, diagonal: 1 leaves a feature as it is"),
     "offset": ("b", 0.0, "b, offset in each feature's unit: 0 leaves a feature as it is"),
 }
-_NEUTRAL_DASHES = (0, (4, 3))
 _ARMS = ("left hand", "right hand", "elbow")
 _GROUP_GAP = 0.7  # between two groups' features, which stand 1 apart
 
 
 def sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes]]:
-    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b.
-
-    Bands tell groups of features apart; a dashed line stands where nothing is changed.
-    """
+    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b."""
     features = feature_names(body)
     figure, panels = style.new_figure(height_in, ncols=2, sharey=True)
     panels[0].set(ylim=(len(features) - 0.4, -0.6))
@@ -41,7 +37,7 @@ def sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes]]:
         axes.grid(axis="y", visible=True)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        axes.axvline(neutral, color=style.MUTED, lw=1, ls=_NEUTRAL_DASHES)
+        axes.axvline(neutral, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
         axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
         axes.autoscale_view(scaley=False)
         for first, last in _spans(feature_groups(body))[1::2]:
@@ -76,6 +72,8 @@ def transforms(frame: pd.DataFrame) -> Figure:
                     axes.plot(trial, places, ms=2.5, alpha=0.45, mec="none", **look)
                 if len(values):
                     axes.plot(values.mean(axis=0), places, ms=5, mec="white", mew=0.5, **look)
+        for axes in panels.values() if frame.empty else ():
+            cells.say(axes, "no run")
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
         sources.footer(figure, frame)
     return figure
@@ -104,7 +102,7 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
     with style.applied():
         figure, axes = style.new_figure(3.9)
         axes.set_title(title)
-        axes.axhline(neutral, color=style.MUTED, lw=1, ls=_NEUTRAL_DASHES)
+        axes.axhline(neutral, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
         places = _feature_axis(axes, groups)
         handles = []
         for index, body in enumerate(names):

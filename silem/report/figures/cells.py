@@ -26,21 +26,50 @@ OTHER_LENGTH = "shorter or longer run"
 _DOTS_IN = 0.1  # the single trials stand this far right of their cell's range
 
 
-def draw_cells(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
+def draw_cells(
+    axes: Axes,
+    frame: pd.DataFrame,
+    methods: Sequence[str],
+    column: str,
+    *,
+    counts: bool = False,
+    means: bool = False,
+) -> None:
     """Draw a column of the table, every cell of a panel.
 
     A cell without values is an empty slot with the reason. Runs of another number of iterations
     than planned are crosses in either case.
+
+    Args:
+        axes: The panel.
+        frame: Runs of one study at one budget.
+        methods: The slots.
+        column: What to draw.
+        counts: Write under each cell its number of trials, and the iterations of its crosses;
+            `room_for_counts` leaves the room.
+        means: Write each mean, a whole number, above its cell.
     """
     for x, method, body in _places(frame, methods):
         values = results.scores(frame, method, body, column)
-        crosses = results.stand_ins(frame, method, body)[column].dropna()
+        others = results.stand_ins(frame, method, body).dropna(subset=column)
         if len(values):
             _draw_trials(axes, x, values, method)
-        elif crosses.empty:
+        elif others.empty:
             style.empty_slot(axes, x, _reason(frame, method, body))
         cross: dict[str, Any] = {"ms": 6.5, "mew": 1.8, "color": style.method(method).color}
-        axes.plot(np.full(len(crosses), x), crosses, "x", zorder=5, **cross)
+        axes.plot(np.full(len(others), x), others[column], "x", zorder=5, **cross)
+        small: dict[str, Any] = {"ha": "center", "fontsize": 7 if len(methods) > 3 else 7.5}
+        paper: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.7}
+        lines = [f"n={len(values)}"] if len(values) else []
+        if lengths := sorted(others["n_iterations"].unique()):
+            lines.append("× " + ", ".join(f"{n:,}" for n in lengths))
+        if counts and lines:
+            place = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
+            axes.text(x, 0.025, "\n".join(lines), bbox=paper, **place, **small)
+        if means and len(values):
+            above = {"xytext": (0, 6), "textcoords": "offset points", "color": style.INK}
+            mean, top = style.number(values.mean()), values.max()
+            axes.annotate(mean, (x, top), bbox=paper | {"alpha": 0.8}, **above, **small)
 
 
 def _places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
@@ -106,36 +135,6 @@ def body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
     axes.tick_params(axis="x", length=0)
 
 
-def trial_counts(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
-    """Write under each cell its number of trials, and the iterations of its stand-ins.
-
-    `room_for_counts` leaves the room.
-    """
-    for x, method, body in _places(frame, methods):
-        count = len(results.scores(frame, method, body, column))
-        others = results.stand_ins(frame, method, body)["n_iterations"].unique()
-        lines = [f"n={count}"] if count else []
-        lines += ["× " + ", ".join(f"{n:,}" for n in sorted(others))] if len(others) else []
-        if lines:
-            axes.text(
-                x, 0.025, "\n".join(lines), transform=axes.get_xaxis_transform(), ha="center",
-                fontsize=7 if len(methods) > 3 else 7.5, color=style.MUTED,
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-            )  # fmt: skip
-
-
-def write_means(axes: Axes, frame: pd.DataFrame, methods: Sequence[str], column: str) -> None:
-    """Write each cell's mean, a whole number, above its highest trial."""
-    for x, method, body in _places(frame, methods):
-        values = results.scores(frame, method, body, column)
-        if len(values):
-            axes.annotate(
-                style.number(values.mean()), (x, values.max()), xytext=(0, 6),
-                textcoords="offset points", ha="center", fontsize=7.5, color=style.INK,
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
-            )  # fmt: skip
-
-
 def levels(axes: Axes, frame: pd.DataFrame, method: str, column: str, top: float) -> None:
     """Draw a method's mean on each body, up to `top`, as a dashed level across the body's slots."""
     for index, body in enumerate(results.body_names(frame)):
@@ -152,6 +151,12 @@ def room_for_counts(axes: Axes, lowest: float, highest: float, share: float = 0.
     axes.set_ylim(low - share * (high - low), high + 0.02 * (high - low))
     # A fixed number of ticks: else the layout changes them, and with them the labels' width.
     axes.yaxis.set_major_locator(MaxNLocator(7))
+
+
+def say(axes: Axes, word: str) -> None:
+    """Write a word in the middle of an empty panel."""
+    middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+    axes.text(0.5, 0.5, word, color=style.MUTED, backgroundcolor="white", **middle)
 
 
 def handles(looks: Sequence[style.MethodStyle]) -> list[Line2D]:

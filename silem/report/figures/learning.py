@@ -42,8 +42,11 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
     quantities = [name for name in _QUANTITIES if name not in left_out]
     with style.applied():
+        height_in = (
+            2.0 if len(frame) else 0.9
+        )  # of a row; there is nothing to read off an empty one
         figure, grid = style.new_figure(
-            2.0 * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
+            height_in * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
             sharey="row", squeeze=False,
         )  # fmt: skip
         for column, body in zip(grid.T, names, strict=True):
@@ -60,7 +63,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
                 axes.margins(x=0.01)
                 axes.xaxis.set_major_locator(MaxNLocator(4))
                 if not axes.lines:
-                    _say(axes, word)
+                    cells.say(axes, word)
             column[-1].set_xlabel("million timesteps")
             if not any(axes.lines for axes in column):
                 column[-1].set_xticks([])  # a scale without a curve means nothing
@@ -103,7 +106,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
                     axes.plot(curve["iteration"], curve[quantity], color=color, ls=dashes, lw=1.6)
             if not axes.lines:
                 axes.set(xticks=[], yticks=[])
-                _say(axes, "no run")
+                cells.say(axes, "no run")
         for axes in grid[1]:
             axes.set_xlabel("iteration")
         named = [f"{name}: {style.trials(len(frame))}" for name, frame in groups.items()]
@@ -152,8 +155,3 @@ def _draw_mean(
     if len(values) > 1:
         span = np.min(values, axis=0), np.max(values, axis=0)
         axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
-
-
-def _say(axes: Axes, word: str) -> None:
-    middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
-    axes.text(0.5, 0.5, word, color=style.MUTED, **middle)

@@ -42,9 +42,8 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
         cells.body_ticks(right, frame)
         panels = (left, "normalised", imitators), (right, "speed_m_s", everyone)
         for axes, column, shown in panels:
-            cells.draw_cells(axes, frame, shown, column)
+            cells.draw_cells(axes, frame, shown, column, counts=True)
             cells.room_for_counts(axes, 0.0, 1.05)
-            cells.trial_counts(axes, frame, shown, column)
         handles = cells.handles([style.method(method, original) for method in everyone])
         handles.append(style.handle(style.MUTED, "mean of the body's experts", **_MEAN))
         handles.append(style.handle(style.INK, "the best of them, the demonstrator", **_BEST))
