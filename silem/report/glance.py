@@ -87,13 +87,15 @@ def _behind(frames: list[pd.DataFrame]) -> str:
 
 def _hours(runs: pd.DataFrame) -> str:
     """Say what some runs cost: processor time, and wall time of runs that did not count it."""
-    counted = runs["processor_time_s"].notna()
-    hours = runs["processor_time_s"].sum() / 3600, runs.loc[~counted, "wall_time_s"].sum() / 3600
-    words = [f"{hours[0]:.0f} hours of processor time"] if counted.any() or runs.empty else []
-    if not counted.all():
-        of = f" of the {(~counted).sum()} runs that did not count theirs" if words else ""
-        words.append(f"{hours[1]:.0f} hours of wall time{of}")
-    return " and ".join(words)
+    without = runs[runs["processor_time_s"].isna()]
+    hours = runs["processor_time_s"].sum() / 3600, without["wall_time_s"].sum() / 3600
+    if len(without) == len(runs) > 0:
+        return f"{hours[1]:.0f} hours of wall time"
+    words = f"{hours[0]:.0f} hours of processor time"
+    if len(without):
+        words += f" and {hours[1]:.0f} hours of wall time where that was not counted"
+        words += f" ({style.trials(len(without))})"
+    return words
 
 
 def film(_: str = "") -> str:

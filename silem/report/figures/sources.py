@@ -28,13 +28,6 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
 # The figures that mark runs of another number of iterations; the others leave them out.
 _WITH_STAND_INS = ("learning_curves", "humanoid_scores", "affine_transforms")
 
-_OF_ANY = ("experts", "learning_curves", "transforms")
-OF_STUDY = {
-    "halfcheetah": ("normalised_scores", "affine_or_mlp", *_OF_ANY),
-    "humanoids": ("humanoid_scores", "affine_transforms", *_OF_ANY),
-}
-"""The figures in which each study is told."""
-
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
     """Return the runs that a figure, named by its function, shows.
