@@ -68,25 +68,22 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     """
     choose("budget", budget, BUDGETS)
     plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
-    planned: dict[str, tuple[RunConfig, list[RunRecord]]] = {}  # by the plan's id
-    set_aside = []
+    rows, set_aside = [], []
     for record in _records(study, budget):
         config = record.run_config()
         if _is_copy(config):
             continue
         if plan := _plan(config, plans):
-            planned.setdefault(plan.run_id, (plan, []))[1].append(record)
+            rows.append(_row(record, config, plan))
         else:
             set_aside.append(record.run_id)
-    rows = []
-    for plan, found in planned.values():
-        row = max(
-            (_row(r, plan) for r in found), key=lambda r: (not r["stand_in"], r["n_iterations"])
-        )
-        rows.append(row)
-        set_aside += [record.run_id for record in found if record.run_id != row["run_id"]]
-    frame = pd.DataFrame(rows, columns=COLUMNS[:-2])
-    frame = frame.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
+    found = found.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    # of each plan the run that was planned, else the longest
+    found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
+    frame = found.drop_duplicates("plan")
+    set_aside += list(found.drop(frame.index)["run_id"])
+    frame = frame.drop(columns="plan")
     frame = frame.sort_values(_KEYS, key=_order).reset_index(drop=True)
     missing = [_keys(plan) for plan in plans if plan.run_id not in set(frame["run_id"])]
     frame = _with_scores(frame, study, budget)
@@ -140,9 +137,10 @@ def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
     return None
 
 
-def _row(record: RunRecord, plan: RunConfig) -> dict[str, Any]:
-    config, evaluation, source = record.run_config(), record.evaluation, record.provenance
+def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
+    evaluation, source = record.evaluation, record.provenance
     return {
+        "plan": plan.run_id,
         **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
         "disc_reward": evaluation["disc_reward_mean"],

@@ -64,12 +64,16 @@ def draw_cells(
         if lengths := sorted(others["n_iterations"].unique()):
             lines.append("× " + ", ".join(f"{n:,}" for n in lengths))
         if counts and lines:
-            place = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
+            place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
             axes.text(x, 0.025, "\n".join(lines), bbox=paper, **place, **small)
         if means and len(values):
-            above = {"xytext": (0, 6), "textcoords": "offset points", "color": style.INK}
+            above = small | {
+                "xytext": (0, 6),
+                "textcoords": "offset points",
+                "color": style.INK,
+            }
             mean, top = style.number(values.mean()), values.max()
-            axes.annotate(mean, (x, top), bbox=paper | {"alpha": 0.8}, **above, **small)
+            axes.annotate(mean, (x, top), bbox=paper | {"alpha": 0.8}, **above)
 
 
 def _places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
