@@ -16,7 +16,7 @@ from silem.envs.mujoco.simulator import body_of
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.retargeting import Limbs
 from silem.report.pages import humanoids
-from silem.study.evaluate import evaluate, random_policy
+from silem.study.evaluate import RandomPolicy, evaluate
 
 _ALIKE = {  # joints of Humanoid and of Atlas that do the same
     "hip, forward and back": ("right_hip_y", "r_leg_hpy"),
@@ -160,7 +160,7 @@ def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
         body = body_of(name)
         row = {}
         for label, std in (("no torques", 0.0), ("random torques", 1.0)):
-            found = evaluate(random_policy(body, std=std), name, n_episodes, seed)
+            found = evaluate(RandomPolicy(body, std=std), name, n_episodes, seed)
             row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
             row[f"{label}: return"] = found.return_mean
         rows[name] = row

@@ -87,17 +87,27 @@ def play(clip: Clip | None, caption: str) -> None:
     _display_html(page)
 
 
-def film(make: Callable[[], Clip], caption: str) -> None:
-    """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead.
+def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
+    """Make a clip and play it; where nothing can be drawn offscreen, say why instead.
 
     Args:
         make: Makes the clip, e.g. ``lambda: film.rollout("Atlas")``.
         caption: What it shows, as plain text.
+
+    Returns:
+        The clip, if there is one.
     """
     if why := why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
-    else:
-        play(make(), caption)
+        return None
+    clip = make()
+    play(clip, caption)
+    return clip
+
+
+def show_strip(clip: Clip | None) -> None:
+    """Show a clip on paper: equally spaced pictures of it; say so where there is none."""
+    note("No pictures: there is no clip.") if clip is None else show_picture(films.strip(clip))
 
 
 def play_first_trials(

@@ -20,9 +20,8 @@ from silem import bodies
 from silem.motion.features import FEATURES
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.curve import COLUMNS as CURVE_COLUMNS
 from silem.study.demonstrate import experts
-from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
 from silem.study.studies import cells, seeds_of, study_configs
 from silem.study.verify import check
@@ -339,7 +338,7 @@ def find(run_id: str) -> RunRecord:
 
 
 def load_curve(run_id: str) -> pd.DataFrame:
-    """Load a run's learning curve (columns of `silem.study.curve`), NaN where blank or not kept.
+    """Load a run's learning curve (columns of `silem.study.record`), NaN where blank or not kept.
 
     Raises:
         SilemError: There is no such run, or its curve is not the file that was recorded.

@@ -29,6 +29,6 @@ def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> Figure:
         for axes in grid.flat[len(names) :]:
             axes.set_axis_off()
         for axes, name in zip(grid.flat, names, strict=False):
-            style.picture(axes, film.still(name, _SIZE, span_m))
+            film.portrait(axes, name, _SIZE, span_m)
             axes.set_title(f"{name}: {bodies.get(name).length[1]:g} m", pad=3)
     return figure

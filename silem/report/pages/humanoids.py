@@ -58,18 +58,8 @@ def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
         walk.set_title(f"The demonstrator: {way_m:.1f} m in {motion.duration_s:.1f} s")
         for name in names:
             panels[name].set_title(name)
-            _portrait(panels[name], name)
+            film.portrait(panels[name], name, _PORTRAIT)
     return figure
-
-
-def _portrait(axes: Axes, name: str) -> None:
-    """Show a humanoid standing, or say that it cannot be drawn."""
-    try:
-        style.picture(axes, film.still(body_of(name), _PORTRAIT))
-    except SilemError:
-        style.picture(axes, np.full((*_PORTRAIT[::-1], 3), 255, np.uint8))
-        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
-        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
 def _project(points: np.ndarray) -> np.ndarray:
