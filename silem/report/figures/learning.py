@@ -42,9 +42,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
     quantities = [name for name in _QUANTITIES if name not in left_out]
     with style.applied():
-        height_in = (
-            2.0 if len(frame) else 0.9
-        )  # of a row; there is nothing to read off an empty one
+        height_in = 2.0 if len(frame) else 1.5  # of a row; an empty one has room for its name
         figure, grid = style.new_figure(
             height_in * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
             sharey="row", squeeze=False,
