@@ -42,9 +42,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
     quantities = [name for name in _QUANTITIES if name not in left_out]
     with style.applied():
-        height_in = 2.0 if len(frame) else 1.5  # of a row; an empty one has room for its name
         figure, grid = style.new_figure(
-            height_in * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
+            2.0 * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
             sharey="row", squeeze=False,
         )  # fmt: skip
         for column, body in zip(grid.T, names, strict=True):
