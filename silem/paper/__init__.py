@@ -160,7 +160,8 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
     Raises:
         SilemError: If the paper has none for them.
     """
-    if method == "silem-minus" and demonstrations == body and body not in _ORIGINAL_BODIES:
+    own = demonstrations == body and body not in _ORIGINAL_BODIES
+    if method == "silem-minus" and own and _best(body, "silem-minus-own"):
         method = "silem-minus-own"
     found = _best(body, method)
     if found is None:

@@ -194,6 +194,7 @@ def test_a_method_runs_on_every_body_that_it_is_defined_on() -> None:
     assert create("HC1", "tpil").demonstrations == "HC0"
     assert create("Humanoid", "silem-mlp").demonstrations == "cmu_08_01"
     assert create("Humanoid", "silem-minus-own").demonstrations == "Humanoid"
+    assert create("Humanoid", "silem-minus", "Humanoid").hyper.minibatch_size == 256
 
 
 def test_every_value_says_where_it_comes_from() -> None:
