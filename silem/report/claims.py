@@ -18,6 +18,7 @@ from silem import paper
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results
 from silem.study import statistics
+from silem.study.settings import BUDGETS
 from silem.study.statistics import NO_INTERVAL, Interval
 from silem.util.errors import choose
 
@@ -59,14 +60,8 @@ _QUANTITIES = {
 class Measure:
     """A quantity and the bounds between which it has to lie: a rule as data.
 
-    Attributes:
-        of: The cell whose mean it is.
-        column: A column of the table of runs, ``"returns"`` for the single episodes of the random
-            policy, or an entry of T such as ``"A left_hand"``.
-        less: A cell whose mean is taken off.
-        per: A cell whose mean is the unit.
-        lower: The quantity has to be above this,
-        upper: and below this.
+    It is the mean of a cell `of` the table, in a column of `results.values`, `less` another's, or
+    `per` another's, which is then the unit.
     """
 
     of: Cell
@@ -78,7 +73,7 @@ class Measure:
 
     @property
     def cells(self) -> list[Cell]:
-        """The cells that have to have trials."""
+        """The cells that have to have trials, `of` first."""
         return [cell for cell in (self.of, self.less, self.per) if cell]
 
     @property
@@ -105,32 +100,29 @@ class Measure:
 
     def find(self, frame: pd.DataFrame) -> Finding:
         """Read the quantity off a table of runs."""
-        values = {cell: results.values(frame, *cell, self.column) for cell in self.cells}
-        counts = {self._label(cell): len(found) for cell, found in values.items()}
-        means = {cell: v.mean() if len(v) else np.nan for cell, v in values.items()}
-        ours, interval, others, unit = means[self.of], NO_INTERVAL, [values[self.of]], 1.0
-        enough = min(counts.values()) >= MIN_TRIALS
-        best, wins = float("nan"), float("nan")
+        samples = [results.values(frame, *cell, self.column) for cell in self.cells]
+        counts = {self._label(c): len(v) for c, v in zip(self.cells, samples, strict=True)}
+        ours, *other = (float(v.mean()) if len(v) else np.nan for v in samples)
+        unit, bound, best, wins = 1.0, 0.0, np.nan, np.nan
         if self.less:
-            ours, wins = ours - means[self.less], statistics.wins(*values.values())
-            others.append(values[self.less])
+            ours, wins = ours - other[0], statistics.wins(*samples)
         if self.per:
             # The interval of mean - bound * mean expert, over the expert's mean: it holds the
             # spread of both.
-            unit = means[self.per] if means[self.per] > 0 else np.nan
-            best = ours / unit if np.isnan(unit) else ours / values[self.per].max()
-            ours, bound = ours / unit, self.lower if np.isfinite(self.lower) else self.upper
-            others.append(bound * values[self.per])
-        if enough and len(others) == 2:
-            interval = statistics.difference_interval(*others)
-        elif enough:
-            interval = statistics.mean_interval(others[0])
-        if self.per:
-            interval = (bound + interval[0] / unit, bound + interval[1] / unit)
-        planned = results.n_trials(frame)
-        power = statistics.detectable(*others, n_trials=planned) / unit if planned > 1 else np.nan
-        power = np.nan if self.column == "returns" else power
-        return Finding(self, float(ours), interval, counts, float(power), wins, float(best))
+            unit = other[0] if other[0] > 0 else np.nan
+            bound = self.lower if np.isfinite(self.lower) else self.upper
+            ours, best = ours / unit, float(ours / samples[1].max(initial=unit))
+            samples[1] = bound * samples[1]
+        low, high = NO_INTERVAL
+        if min(counts.values()) >= MIN_TRIALS:
+            several = len(samples) == 2
+            find = statistics.difference_interval if several else statistics.mean_interval
+            low, high = find(*samples)
+        interval = bound + low / unit, bound + high / unit
+        planned, power = results.n_trials(frame), np.nan
+        if planned > 1 and self.column != "returns":
+            power = statistics.detectable(*samples, n_trials=planned) / unit
+        return Finding(self, ours, interval, counts, power, wins, best)
 
     def _label(self, cell: Cell) -> str:
         if self.column == "returns":
@@ -144,14 +136,14 @@ class Finding:
     """What the runs say about one quantity.
 
     Attributes:
-        measure: The quantity.
-        ours: Its value, NaN where no run tells.
+        ours: Its value.
         interval: Its 95 % interval, NaN where a cell has fewer than `MIN_TRIALS` trials.
         trials: Trials of each cell that it rests on, by the cell's name.
         detectable: The distance from the bound that as many trials as planned would have found.
-        wins: Where two cells are compared, the share of pairs of their trials in which the first
-            is higher; else NaN.
-        of_best: The score against the best expert, NaN where there is none.
+        wins: The share of pairs of trials in which the first of two cells is higher.
+        of_best: The score against the best expert.
+
+    What no run tells is NaN.
     """
 
     measure: Measure
@@ -186,7 +178,6 @@ class Claim:
 
     Attributes:
         title: The claim without its body.
-        body: The body that it is about.
         where: Where the paper makes it.
         measures: Its quantities with their bounds.
         either: It holds where one of the quantities passes; else all have to.
@@ -219,7 +210,7 @@ class Claim:
         verdicts = [verdict for verdict, _ in found]
         decisive, other = (HOLDS, FAILS) if self.either else (FAILS, HOLDS)
         _, budget = results.context(frame)
-        if not results.is_evidence(budget):
+        if not BUDGETS[budget].is_evidence:
             return findings, UNDECIDED, f"runs at budget {budget} are no evidence"
         cells = dict.fromkeys(cell for measure in self.measures for cell in measure.cells)
         if absent := [c for c in cells if not results.is_planned(frame, *c)]:

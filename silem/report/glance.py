@@ -22,113 +22,106 @@ STUDIES = {
     "halfcheetah": "HalfCheetah, Figure 2b and Table 1",
     "humanoids": "Humanoids, Figures 3b, 4a and 4b",
 }
+_VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]
 FILM = "silem_Humanoid_from_cmu_08_01_book_s0_b5918e5b"
 """The run that README films."""
 
 
 def box(root: str = "") -> str:
-    """Return the box as Markdown.
-
-    Args:
-        root: Way from the page to the repository's root, e.g. ``"../"``.
-    """
+    """Return the box as Markdown; `root` is the way from its page to the repository's root."""
     frames = [results.load_records(study, "book") for study in STUDIES]
-    judged = {}
-    for (study, name), frame in zip(STUDIES.items(), frames, strict=True):
-        judged[f"{name}: {len(claims.of(study))} claims"] = scorecard.evaluate(frame)
-    frames += [other for f in frames if (other := results.paper_loss(f)) is not None]
-    where = f"[by a rule fixed before its runs were complete]({root}notebooks/07_scorecard.ipynb)"
-    return "\n".join(
+    tables = [_matrix(*pair) for pair in zip(STUDIES.values(), frames, strict=True)]
+    return "\n\n".join(
         [
-            "## At a glance", "",
+            "## At a glance",
             "A learner imitates an expert whose body is not its own: does SILEM, the paper's way to"
-            f" do that, do here what the paper claims? Each claim is judged {where}, on the bodies"
-            " that are named.", "",
-            *(line for name, found in judged.items() for line in _matrix(name, found)),
-            _behind(frames), "",
-            f"![{_ALT}]({root}book/figures/halfcheetah.svg)", "",
+            " do that, do here what the paper claims? Each claim is judged [by a rule fixed before"
+            f" its runs were complete]({root}notebooks/07_scorecard.ipynb), on the bodies that are"
+            " named.",
+            *tables,
+            _behind(frames),
+            "![Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies,"
+            " minimum, mean and maximum over trials; right the forward speed of the same trials"
+            f" and of the experts.]({root}book/figures/halfcheetah.svg)",
             "*Figure 2b from the committed runs, and the speed behind each score; empty slots are"
             " runs not made yet.*",
         ]
-    )  # fmt: skip
-
-
-_ORDER = (claims.HOLDS, claims.FAILS, claims.UNDECIDED)
-_ALT = (
-    "Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies, minimum,"
-    " mean and maximum over trials; right the forward speed of the same trials and of the experts."
-)
-
-
-def _matrix(name: str, found: pd.DataFrame) -> list[str]:
-    """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
-    rows: dict[str, dict[str, list[str]]] = {}
-    for row in found.itertuples():
-        cells = rows.setdefault(row.claim.title, {verdict: [] for verdict in _ORDER})
-        why = "interval spans the bound" if "spans" in row.reason else row.reason.partition(":")[0]
-        cells[row.verdict].append(f"{row.claim.body}, {why}" if why else row.claim.body)
-    heads = [f"{verdict} ({(found['verdict'] == verdict).sum()})" for verdict in _ORDER]
-    lines = [f"**{name}**", "", f"| claim | {' | '.join(heads)} |", "| --- | --- | --- | --- |"]
-    for title, cells in rows.items():
-        words = [_grouped(names) for names in cells.values()]
-        lines.append(f"| {title} | {' | '.join(words)} |")
-    return [*lines, ""]
-
-
-def _grouped(names: list[str]) -> str:
-    """Join bodies, and write a reason that several share once."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        body, _, why = name.partition(", ")
-        groups.setdefault(why, []).append(body)
-    return "; ".join(
-        ", ".join(bodies) + (f" ({why})" if why else "") for why, bodies in groups.items()
     )
+
+
+def _matrix(name: str, frame: pd.DataFrame) -> str:
+    """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
+    found = scorecard.evaluate(frame)
+    spans = found["reason"].str.contains("spans the bound")
+    why = found["reason"].str.partition(":")[0].mask(spans, "interval spans the bound")
+    title, body = ([getattr(claim, of) for claim in found["claim"]] for of in ("title", "body"))
+    named = found.assign(title=title, body=body, why=why)
+    named = named.groupby(["title", "verdict", "why"], sort=False)["body"].agg(", ".join)
+    named = named.reset_index()
+    named["body"] += named["why"].map(lambda words: f" ({words})" if words else "")
+    table = named.groupby(["title", "verdict"])["body"].agg("; ".join).unstack(fill_value="")
+    table = table.reindex(pd.unique(pd.Series(title)), columns=_VERDICTS, fill_value="")
+    heads = [f"{verdict} ({(found['verdict'] == verdict).sum()})" for verdict in _VERDICTS]
+    lines = [f"| {title} | {' | '.join(cells)} |" for title, *cells in table.itertuples()]
+    head = f"**{name}: {len(found)} claims**\n\n| claim | {' | '.join(heads)} |\n"
+    return head + "\n".join(["| --- | --- | --- | --- |", *lines])
 
 
 def _behind(frames: list[pd.DataFrame]) -> str:
     """Say how many runs stand behind the verdicts, how many are planned, and what they cost."""
-    runs = pd.concat([f for f in frames if len(f)] or frames[:1]).drop_duplicates("run_id")
-    trained = runs[runs["method"] != "random"]
-    done = int((~trained["stand_in"]).sum())
-    missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
-    cells = [
-        len(group)
-        for frame in frames[: len(STUDIES)]
-        for _, group in frame[~frame["stand_in"]].groupby(["method", "body"])
-        if group["method"].iloc[0] != "random"
-    ]
-    low, high = (min(cells), max(cells)) if cells else (0, 0)
-    spread = f"{low if low == high else f'{low} to {high}'} in each cell that has any"
-    hours = trained["wall_time_s"].sum() / 3600
-    return (
-        f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread}) and"
-        f" {hours:.0f} hours by the clock on one processor core a run, no graphics card."
+    cells = pd.concat(
+        [results.trained(frame).groupby(["method", "body"]).size() for frame in frames]
     )
+    low, high = (cells.min(), cells.max()) if len(cells) else (0, 0)
+    spread = f"{low if low == high else f'{low} to {high}'} in each cell that has any"
+    frames = frames + [f for f in map(results.paper_loss, frames) if f is not None]
+    runs = pd.concat([f for f in frames if len(f)] or frames[:1]).drop_duplicates("run_id")
+    done = len(results.trained(runs))
+    missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
+    return (
+        f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread})"
+        f" and {_hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
+        " graphics card."
+    )
+
+
+def _hours(runs: pd.DataFrame) -> str:
+    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
+    without = runs[runs["processor_time_s"].isna()]
+    hours = runs["processor_time_s"].sum() / 3600, without["wall_time_s"].sum() / 3600
+    if len(without) == len(runs) > 0:
+        return f"{hours[1]:.0f} hours of wall time"
+    words = f"{hours[0]:.0f} hours of processor time"
+    if len(without):
+        words += f" and {hours[1]:.0f} hours of wall time where that was not counted"
+        words += f" ({style.trials(len(without))})"
+    return words
 
 
 def film(_: str = "") -> str:
     """Return the caption of README's film as Markdown."""
     frame = results.load_records("humanoids", "book")
-    parts = []
-    for method in ("silem", "silem-minus"):
-        runs = frame[(frame["method"] == method) & ~frame["stand_in"]]
-        gaits = [walking.gait(*row) for row in zip(runs["upright"], runs["speed_m_s"], strict=True)]
-        walk = sum(gait in (walking.WALKS, walking.SLOWER) for gait in gaits)
-        counts = [f"{body} {len(group)}" for body, group in runs.groupby("body")]
-        label = style.method(method, "").label
-        parts.append(
-            f"{label} has {style.trials(len(runs))} on {len(counts)} of"
-            f" {len(results.body_names(frame))} bodies ({', '.join(counts)}), of which {walk}"
-            f" {'walks' if walk == 1 else 'walk'}"
-            if len(runs)
-            else f"{label} has no run"
-        )
+    parts = [_trials(frame, method) for method in ("silem", "silem-minus")]
     return (
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"
         f" {parts[0]}; without the transform, {parts[1]}."
         f" `silem render {FILM} --out walk.mp4` films it again.*"
+    )
+
+
+def _trials(frame: pd.DataFrame, method: str) -> str:
+    """Say how many trials of a method there are, on which bodies, and how many of them walk."""
+    label, runs = style.method(method, "").label, results.trained(results.select(frame, [method]))
+    if runs.empty:
+        return f"{label} has no run"
+    gaits = [walking.gait(*row) for row in zip(runs["upright"], runs["speed_m_s"], strict=True)]
+    walk = sum(gait in (walking.WALKS, walking.SLOWER) for gait in gaits)
+    counts = [f"{body} {count}" for body, count in runs.groupby("body").size().items()]
+    return (
+        f"{label} has {style.trials(len(runs))} on {len(counts)} of"
+        f" {len(results.body_names(frame))} bodies ({', '.join(counts)}), of which {walk}"
+        f" {'walks' if walk == 1 else 'walk'}"
     )
 
 

@@ -2,85 +2,93 @@
 
 A figure's runs are those that a study plans: its cells with the supplement's hyper-parameters, one
 budget, and the trial seeds that were fixed beforehand. Planned runs that are not there are listed
-as missing and runs of other settings as set aside; neither is passed over in silence.
+as missing and runs of other settings as set aside; neither is passed over in silence. Everywhere
+`frame` is such a table, of one study at one budget, and a cell a method on a body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from silem import bodies
 from silem.motion.features import FEATURES
-from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
-from silem.study.record import CURVE, CURVE_COLUMNS, TRANSFORM, RunRecord
-from silem.study.settings import BUDGETS, FAMILIES
-from silem.study.studies import cells, seeds_of
-from silem.util import files
-from silem.util.errors import SilemError
+from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.demonstrate import experts
+from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
+from silem.study.settings import BUDGETS, FAMILIES, METHODS
+from silem.study.studies import cells, seeds_of, study_configs
+from silem.study.verify import check
+from silem.util import files, paths
+from silem.util.errors import SilemError, choose
 
-__all__ = [
-    "COLUMNS", "KEYS", "against_best", "body_names", "cell", "context", "describe", "find",
-    "is_evidence", "is_planned", "load_curve", "load_records", "load_transform",
-    "n_trials", "original_body", "paper_loss", "planned_methods", "scores", "select", "stand_ins",
-    "upright_label", "values",
+_KEYS = ["body", "method", "demonstrations", "seed"]
+_EVALUATED = ["return_mean", "speed_m_s", "upright"]
+COLUMNS = [
+    *_KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
+    "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns",
+    "folder", "expert_return", "normalised",
 ]  # fmt: skip
-
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
 }  # fmt: skip
 """The study that has a study's cells with the paper's loss for D, without our gradient penalty."""
 
+_WITHOUT_D = ("ppo", "random")
 
-def context(frame: pd.DataFrame) -> tuple[str, str]:
-    """Return a table's study and budget.
+
+# ---------------------------------------------------------------- from records to the table
+
+
+def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
+    """Load a study's finished runs at one budget, one row per run.
+
+    At the budgets whose runs are evidence only the published records count, and only the seeds
+    fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
+    policy counts once per body, because every evaluation meets the same episodes. The longest run
+    that differs from a missing one in its number of iterations alone stands in for it
+    (``stand_in``); `cell` leaves it out.
+
+    Returns:
+        `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
+        ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
+        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
+        episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
+        dicts) and ``set_aside`` (run ids).
 
     Raises:
-        SilemError: The table was put together from several budgets, or not by `load_records`.
+        SilemError: Unknown study or budget, or a record that `silem.study.verify` refuses.
     """
-    if "budget" not in frame.attrs:
-        raise SilemError("not a table of one study at one budget: load it with load_records")
-    for body, group in frame.groupby("body"):
-        full = (group["method"] != "random") & ~group["stand_in"]
-        counts = group.loc[full, "n_iterations"].unique()
-        if len(counts) > 1:
-            raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
-    return frame.attrs["study"], frame.attrs["budget"]
-
-
-def select(
-    frame: pd.DataFrame,
-    methods: Sequence[str],
-    names: Sequence[str] | None = None,
-    *,
-    with_stand_ins: bool = True,
-) -> pd.DataFrame:
-    """Keep some methods' runs, and some bodies'; the missing runs are narrowed alike.
-
-    Args:
-        frame: Runs of one study at one budget.
-        methods: The methods to keep.
-        names: The bodies to keep, in the order in which figures show them; None keeps all.
-        with_stand_ins: Keep the runs of another number of iterations than planned.
-    """
-    context(frame)
-
-    def keeps(method: str, body: str) -> bool:
-        return method in methods and (names is None or body in names)
-
-    kept = [
-        keeps(row.method, row.body) and (with_stand_ins or not row.stand_in)
-        for row in frame.itertuples()
-    ]
-    missing = [run for run in frame.attrs["missing"] if keeps(run["method"], run["body"])]
-    narrowed = frame[np.array(kept, dtype=bool)].reset_index(drop=True)
-    narrowed.attrs = frame.attrs | {"missing": missing}
-    if names is not None:
-        narrowed.attrs["bodies"] = list(names)
-    return narrowed
+    choose("budget", budget, BUDGETS)
+    plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    rows, set_aside = [], []
+    for record in _records(study, budget):
+        config = record.run_config()
+        if _is_copy(config):
+            continue
+        if plan := _plan(config, plans):
+            rows.append(_row(record, config, plan))
+        else:
+            set_aside.append(record.run_id)
+    found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
+    found = found.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    # of each plan the run that was planned, else the longest
+    found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
+    frame = found.drop_duplicates("plan")
+    set_aside += list(found.drop(frame.index)["run_id"])
+    frame = frame.drop(columns="plan")
+    frame = frame.sort_values(_KEYS, key=_order).reset_index(drop=True)
+    missing = [_keys(plan) for plan in plans if plan.run_id not in set(frame["run_id"])]
+    frame = _with_scores(frame, study, budget)
+    frame.attrs = {"study": study, "budget": budget, "missing": missing}
+    frame.attrs["set_aside"] = sorted(set_aside)
+    return frame
 
 
 def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
@@ -91,14 +99,125 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
     study, budget = context(frame)
     if study not in PAPER_LOSS:
         return None
-    runs = load_records(PAPER_LOSS[study], budget)
+    other = load_records(PAPER_LOSS[study], budget)
     shared = frame[frame["method"].isin(_WITHOUT_D)]
-    both = pd.concat([part for part in (runs, shared) if len(part)] or [runs], ignore_index=True)
-    both.attrs = runs.attrs | {"shared": _WITHOUT_D}
+    both = pd.concat([part for part in (other, shared) if len(part)] or [other], ignore_index=True)
+    both.attrs = other.attrs | {"shared": _WITHOUT_D}
     return both
 
 
-_WITHOUT_D = ("ppo", "random")
+def _records(study: str, budget: str) -> Iterator[RunRecord]:
+    """Yield the valid records of a study at a budget, each once: published ones where both are."""
+    folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
+    folders.append(paths.results_dir(study))
+    found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
+    for record in (check(found[name]) for name in sorted(found)):
+        if record.run_config().budget.base_name == budget:
+            yield record
+
+
+def _is_copy(config: RunConfig) -> bool:
+    """Tell whether a run repeats another: the random policy's trials all meet one seed."""
+    return config.method == "random" and config.seed != TRIAL_SEEDS[0]
+
+
+def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
+    """Return the planned run that a run is, whatever its number of iterations; None for others.
+
+    Where runs are no evidence, their seeds need not be planned.
+    """
+    for plan in plans:
+        if (plan.method, plan.body) == (config.method, config.body):
+            if not plan.budget.is_evidence:
+                plan = dataclasses.replace(plan, seed=config.seed)
+            resized = plan.budget.with_iterations(config.budget.n_iterations)
+            if config.run_id in (plan.run_id, dataclasses.replace(plan, budget=resized).run_id):
+                return plan
+    return None
+
+
+def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
+    evaluation, source = record.evaluation, record.provenance
+    return {
+        "plan": plan.run_id,
+        **_keys(config),
+        **{name: evaluation[name] for name in _EVALUATED},
+        "disc_reward": evaluation["disc_reward_mean"],
+        "n_iterations": config.budget.n_iterations,
+        "planned_iterations": plan.budget.n_iterations,
+        "stand_in": record.run_id != plan.run_id,
+        "n_steps": record.training["n_steps"],
+        "wall_time_s": record.wall_time_s,
+        "processor_time_s": record.processor_time_s,
+        "commit": source["git_commit"] or "unknown",
+        "dirty": source["git_dirty"],
+        "returns": tuple(evaluation["returns"]),
+        "folder": str(record.folder),
+    }
+
+
+def _keys(config: RunConfig) -> dict[str, Any]:
+    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
+
+
+def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
+    """Add the level of each body's experts, which another study may have trained, and the ratio."""
+    if any(cell.method == "ppo" for cell in cells(study)):
+        known = frame[frame["method"].eq("ppo") & ~frame["stand_in"]]
+    else:
+        plans = chain.from_iterable(experts(body, budget) for body in frame["body"].unique())
+        found = [(plan.body, runs.find(plan.run_id)) for plan in plans]
+        returns = [(body, run.evaluation["return_mean"]) for body, run in found if run]
+        known = pd.DataFrame(returns, columns=["body", "return_mean"])
+    level = known.groupby("body")["return_mean"].mean()
+    expert_return = frame["body"].map(level).astype(float)
+    normalised = frame["return_mean"].astype(float) / expert_return.where(expert_return > 0)
+    return frame.assign(expert_return=expert_return, normalised=normalised)
+
+
+def _order(column: pd.Series) -> pd.Series:
+    """Sort bodies by the registry and methods as they are declared, not by the alphabet."""
+    ranks = {"body": bodies.names(), "method": list(METHODS)}.get(str(column.name))
+    return column.map(ranks.index) if ranks else column
+
+
+# ---------------------------------------------------------------- what a table holds
+
+
+def context(frame: pd.DataFrame) -> tuple[str, str]:
+    """Return a table's study and budget.
+
+    Raises:
+        SilemError: The table was put together from several budgets, or not by `load_records`.
+    """
+    if "budget" not in frame.attrs:
+        raise SilemError("not a table of one study at one budget: load it with load_records")
+    for body, counts in trained(frame).groupby("body")["n_iterations"].unique().items():
+        if len(counts) > 1:
+            raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
+    return frame.attrs["study"], frame.attrs["budget"]
+
+
+def trained(frame: pd.DataFrame) -> pd.DataFrame:
+    """Keep the runs that were trained for as long as planned."""
+    return frame[(frame["method"] != "random") & ~frame["stand_in"]]
+
+
+def describe(frame: pd.DataFrame) -> str:
+    """Say in one line what a table holds: budget, iterations, runs, missing runs."""
+    parts = [f"budget {context(frame)[1]}"]
+    by_body = trained(frame).groupby("body")["n_iterations"].first()
+    if by_body.nunique() == 1:
+        parts[0] += f" ({by_body.iloc[0]:,} iterations)"
+    elif len(by_body):
+        listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
+        parts[0] += f" (iterations: {listing})"
+    parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
+    if n_others := int(frame["stand_in"].sum()):
+        parts.append(f"{n_others} of them of another length than planned")
+    if frame.attrs["missing"]:
+        parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
+    return ", ".join(parts)
 
 
 def n_trials(frame: pd.DataFrame) -> int:
@@ -109,8 +228,7 @@ def n_trials(frame: pd.DataFrame) -> int:
 
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
-    study, _ = context(frame)
-    known = {cell.body for cell in cells(study)}
+    known = {cell.body for cell in cells(context(frame)[0])}
     return [name for name in frame.attrs.get("bodies", bodies.names()) if name in known]
 
 
@@ -127,28 +245,46 @@ def upright_label(frame: pd.DataFrame) -> str:
 
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
-    """Tell whether a table's study has a cell for a method on a body, or shares another's."""
-    study, _ = context(frame)
-    return method in frame.attrs.get("shared", ()) or any(
-        cell.method == method and cell.body == body for cell in cells(study)
-    )
+    """Tell whether a table's study has a cell, or shares another study's."""
+    planned = {(cell.method, cell.body) for cell in cells(context(frame)[0])}
+    return method in frame.attrs.get("shared", ()) or (method, body) in planned
 
 
-def planned_methods(frame: pd.DataFrame, methods: Sequence[str]) -> list[str]:
-    """Keep those of some methods that a table's study has cells for."""
-    study, _ = context(frame)
-    known = {cell.method for cell in cells(study)}
-    return [method for method in methods if method in known]
+# ---------------------------------------------------------------- parts of a table
+
+
+def select(
+    frame: pd.DataFrame,
+    methods: Sequence[str],
+    names: Sequence[str] | None = None,
+    *,
+    with_stand_ins: bool = True,
+) -> pd.DataFrame:
+    """Keep some methods' runs, and some bodies'; the missing runs are narrowed alike.
+
+    Args:
+        frame: Runs of one study at one budget.
+        methods: The methods.
+        names: The bodies, in the order in which figures show them; None keeps all.
+        with_stand_ins: Keep the runs of another number of iterations than planned.
+    """
+    shown = list(names or body_names(frame))
+    kept = frame["method"].isin(methods) & frame["body"].isin(shown)
+    narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
+    missing = frame.attrs["missing"]
+    missing = [run for run in missing if run["method"] in methods and run["body"] in shown]
+    narrowed.attrs = frame.attrs | {"missing": missing, "bodies": shown}
+    return narrowed
 
 
 def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell: a method on a body, one row per trial, no stand-ins."""
-    return frame[(frame["method"] == method) & (frame["body"] == body) & ~frame["stand_in"]]
+    """Return the rows of one cell, one per trial, no stand-ins."""
+    return frame[frame["method"].eq(method) & frame["body"].eq(body) & ~frame["stand_in"]]
 
 
 def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     """Return one cell's runs of another number of iterations, in place of missing ones."""
-    return frame[(frame["method"] == method) & (frame["body"] == body) & frame["stand_in"]]
+    return frame[frame["method"].eq(method) & frame["body"].eq(body) & frame["stand_in"]]
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -161,34 +297,44 @@ def against_best(frame: pd.DataFrame, method: str, body: str) -> np.ndarray:
 
     Empty where there is no expert whose return is above zero.
     """
-    experts = scores(frame, "ppo", body, "return_mean")
-    best = experts.max(initial=0.0)
+    best = scores(frame, "ppo", body, "return_mean").max(initial=0.0)
     return scores(frame, method, body, "return_mean") / best if best > 0 else np.empty(0)
 
 
 def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.ndarray:
     """Return one cell's values of a quantity that a claim is about, one for each trial, (N,).
 
-    Args:
-        frame: Runs of one study at one budget.
-        method: The method.
-        body: The body.
-        quantity: A column; ``"returns"``, the episodes of a policy that is not trained, which are
-            its replicates; or an entry of a humanoid's T, the mean over the features whose names
-            begin so: ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
+    `quantity` is a column; ``"returns"``, the episodes of a policy that is not trained, which are
+    its replicates; or an entry of a humanoid's T, the mean over the features whose names begin so:
+    ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
     """
-    runs = cell(frame, method, body)
+    found = cell(frame, method, body)
     if quantity == "returns":
-        return np.array(runs["returns"].iloc[0]) if len(runs) else np.empty(0)
+        return np.array(found["returns"].iloc[0]) if len(found) else np.empty(0)
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries = [load_transform(run_id)[key] for run_id in runs["run_id"]]
+    entries = [load_transform(run_id)[key] for run_id in found["run_id"]]
     one, *other = (
         np.array([entry[[f.name.startswith(part) for f in FEATURES]].mean() for entry in entries])
         for part in parts.split(" - ")
     )
     return one - other[0] if other else one
+
+
+# ---------------------------------------------------------------- a run's files
+
+
+def find(run_id: str) -> RunRecord:
+    """Return the record of a finished run.
+
+    Raises:
+        SilemError: There is none.
+    """
+    record = runs.find(run_id)
+    if record is None:
+        raise SilemError(f"there is no finished run {run_id!r}")
+    return record
 
 
 def load_curve(run_id: str) -> pd.DataFrame:
@@ -210,39 +356,3 @@ def load_transform(run_id: str) -> dict[str, np.ndarray]:
         SilemError: There is no such run, it learned no affine transform, or the file is damaged.
     """
     return files.read_npz(find(run_id).file(TRANSFORM))
-
-
-def find(run_id: str) -> RunRecord:
-    """Return the record of a finished run.
-
-    Raises:
-        SilemError: There is none.
-    """
-    record = runs.find(run_id)
-    if record is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
-    return record
-
-
-def describe(frame: pd.DataFrame) -> str:
-    """Say in one line what a table holds: budget, iterations, runs, missing runs."""
-    _, budget = context(frame)
-    trained = frame[(frame["method"] != "random") & ~frame["stand_in"]]
-    by_body = trained.groupby("body")["n_iterations"].first()
-    parts = [f"budget {budget}"]
-    if by_body.nunique() == 1:
-        parts[0] += f" ({by_body.iloc[0]:,} iterations)"
-    elif len(by_body):
-        listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
-        parts[0] += f" (iterations: {listing})"
-    parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
-    if n_others := int(frame["stand_in"].sum()):
-        parts.append(f"{n_others} of them of another length than planned")
-    if frame.attrs["missing"]:
-        parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
-    return ", ".join(parts)
-
-
-def is_evidence(budget: str) -> bool:
-    """Tell whether a budget's runs are published and may decide a claim."""
-    return BUDGETS[budget].is_evidence

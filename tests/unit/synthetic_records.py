@@ -56,6 +56,7 @@ def write_record(
     disc_reward: float | None = 430.0,
     commit: str = "0123456789abcdef0123456789abcdef01234567",
     folder: Path | None = None,
+    processor_time_s: float | None = None,
 ) -> RunRecord:
     """Write one made-up run's folder as a finished run leaves it, and return its record."""
     rng = np.random.default_rng([config.seed, len(config.run_id), ord(config.run_id[-1])])
@@ -108,6 +109,7 @@ def write_record(
         wall_time_s=0.0 if config.method == "random" else 420.0,
         files=written,
         folder=folder,
+        processor_time_s=processor_time_s,
     )
     record.save(folder)
     return record

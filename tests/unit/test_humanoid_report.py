@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, lines_at, texts
-from matplotlib.figure import Figure
 
 from silem.motion.features import FEATURES
-from silem.report import claims, figures, results, scorecard, style, tables
+from silem.report import claims, results, scorecard, style, tables
 from silem.report.features import feature_groups, feature_names
+from silem.report.figures import affine, learning, trials
 from silem.report.pages.walking import humanoid_scores
 from silem.study import studies as plans
 from silem.study.config import RunConfig
@@ -26,20 +27,13 @@ PLANNED = RunConfig.create("Atlas", "ppo", budget="book").budget.n_iterations
 HALF, MOST = PLANNED // 2, PLANNED * 3 // 4
 CASES = ("whole", "partial", "single", "empty")
 FIGURES = {
-    "humanoid_scores": {},
-    "A": {"which": "scale"},
-    "b": {"which": "offset"},
-    "experts": {},
-    "learning_curves": {},
-    "transforms": {},
+    "humanoid_scores": humanoid_scores,
+    "A": partial(affine.affine_transforms, which="scale"),
+    "b": partial(affine.affine_transforms, which="offset"),
+    "experts": trials.experts,
+    "learning_curves": learning.learning_curves,
+    "transforms": affine.transforms,
 }
-
-
-def draw(name: str, frame: pd.DataFrame) -> Figure:
-    if name == "humanoid_scores":
-        return humanoid_scores(frame)
-    function = "affine_transforms" if name in ("A", "b") else name
-    return getattr(figures, function)(frame, **FIGURES[name])
 
 
 def planned(method: str, body: str, seed: int = 0) -> RunConfig:
@@ -83,7 +77,7 @@ def make(case: str, folder: Path) -> pd.DataFrame:
     indirect=["frame"],
 )
 def test_every_figure_takes_humanoids_and_stays_readable(name: str, frame: pd.DataFrame) -> None:
-    assert_readable(draw(name, frame))
+    assert_readable(FIGURES[name](frame))
 
 
 def test_figure_3b_shows_true_returns_between_ppo_and_the_highest(frame: pd.DataFrame) -> None:
@@ -133,7 +127,7 @@ def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
 
 @synthetic.study("partial")
 def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
-    figure = figures.learning_curves(frame)
+    figure = learning.learning_curves(frame)
     by_title = {axes.get_title(loc="left"): axes for axes in figure.axes[:3]}
     (silem,) = lines_at(by_title["HumanoidR"], style.METHODS["silem"].color)
     assert silem.get_linestyle() == "--"
@@ -144,7 +138,7 @@ def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
 
 
 def test_affine_transforms_mean_and_policies_by_feature(frame: pd.DataFrame) -> None:
-    axes = figures.affine_transforms(frame, "scale").axes[0]
+    axes = affine.affine_transforms(frame, "scale").axes[0]
     runs = results.cell(frame, "silem", "HumanoidR")["run_id"]
     entries = np.stack([results.load_transform(run)["A"] for run in runs])
     drawn = lines_at(axes, style.body_color(1, 2))
@@ -163,7 +157,7 @@ def test_affine_transforms_shows_the_best_ten(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("silem.paper.number", lambda name: 1)
-    axes = figures.affine_transforms(frame, "offset").axes[0]
+    axes = affine.affine_transforms(frame, "offset").axes[0]
     cell = results.cell(frame, "silem", "Humanoid")
     best = cell.loc[cell["return_mean"].idxmax(), "run_id"]
     thin = [line for line in lines_at(axes, style.MUTED) if line.get_linewidth() == 0.8]
@@ -174,7 +168,7 @@ def test_affine_transforms_shows_the_best_ten(
 
 @synthetic.study("partial")
 def test_a_run_of_another_length_is_dashed_in_the_affine_transforms(frame: pd.DataFrame) -> None:
-    figure = figures.affine_transforms(frame, "scale")
+    figure = affine.affine_transforms(frame, "scale")
     drawn = lines_at(figure.axes[0], style.body_color(1, 2))
     assert drawn and {line.get_linestyle() for line in drawn} == {"--"}
     (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
@@ -185,9 +179,9 @@ def test_figures_of_other_bodies_are_refused(
     frame: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SilemError, match="affine_or_mlp shows HC0; the runs of study 'humanoids'"):
-        figures.affine_or_mlp(frame)
+        trials.affine_or_mlp(frame)
     with pytest.raises(SilemError, match="allowed: scale, offset"):
-        figures.affine_transforms(frame, "a")
+        affine.affine_transforms(frame, "a")
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     with pytest.raises(SilemError, match="humanoid_scores shows Atlas"):
         humanoid_scores(results.load_records("halfcheetah", "book"))
@@ -202,13 +196,13 @@ def test_transforms_of_another_length_are_refused(
     synthetic.write_record(planned("silem", "Humanoid"))
     loaded = results.load_records("humanoids", "book")
     with pytest.raises(SilemError, match="23 features"):
-        figures.affine_transforms(loaded, "scale")
+        affine.affine_transforms(loaded, "scale")
     with pytest.raises(SilemError, match="23 features"):
-        figures.transforms(loaded)
+        affine.transforms(loaded)
 
 
 def test_no_expert_is_named_where_a_human_demonstrates(frame: pd.DataFrame) -> None:
-    words = texts(figures.learning_curves(frame))
+    words = texts(learning.learning_curves(frame))
     assert {"SILEM⁻", "TPIL", "Peng20", "PPO, true reward"} <= set(words)
     assert not [word for word in words if "expert" in word]
 

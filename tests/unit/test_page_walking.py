@@ -13,7 +13,7 @@ from drawn import assert_readable, footer, texts
 
 from silem.report import film, notebook, results, style, tables
 from silem.report.claims import MARGIN
-from silem.report.figures import compared_curves
+from silem.report.figures.learning import compared_curves
 from silem.report.pages import walking
 from silem.study.config import RunConfig
 from silem.study.record import RunRecord

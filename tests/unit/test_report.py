@@ -16,19 +16,19 @@ from drawn import assert_readable, boxes, footer, lines_at, texts
 from matplotlib.axes import Axes
 from scipy import stats
 
-from silem.report import (
-    features,
-    figures,
-    provenance,
-    results,
-    style,
-    tables,
-)
+from silem.report import features, provenance, results, style, tables
+from silem.report.figures import affine, learning, sources, trials
 from silem.study import statistics
 from silem.study.config import RunConfig
 from silem.util.errors import SilemError
 
-FIGURES = figures.OF_STUDY["halfcheetah"]
+FIGURES = {
+    "normalised_scores": trials.normalised_scores,
+    "affine_or_mlp": trials.affine_or_mlp,
+    "experts": trials.experts,
+    "learning_curves": learning.learning_curves,
+    "transforms": affine.transforms,
+}
 CASES = ("whole", "five", "partial", "single", "bad expert", "empty", "tiny")
 
 
@@ -64,7 +64,7 @@ def make(case: str, folder: Path) -> pd.DataFrame:
     indirect=["frame"],
 )
 def test_texts_neither_overlap_nor_leave_the_figure(name: str, frame: pd.DataFrame) -> None:
-    assert_readable(getattr(figures, name)(frame))
+    assert_readable(FIGURES[name](frame))
 
 
 def test_the_overlap_check_sees_overlaps() -> None:
@@ -78,7 +78,7 @@ def test_the_overlap_check_sees_overlaps() -> None:
 
 @pytest.mark.parametrize("name", ["normalised_scores", "affine_or_mlp"])
 def test_the_same_records_give_the_same_bytes(name: str, frame: pd.DataFrame) -> None:
-    draw = getattr(figures, name)
+    draw = FIGURES[name]
     one = style.svg(draw(frame))
     assert one == style.svg(draw(frame))
     assert one.startswith("<svg") and one.rstrip().endswith("</svg>")
@@ -86,15 +86,15 @@ def test_the_same_records_give_the_same_bytes(name: str, frame: pd.DataFrame) ->
 
 def test_drawing_leaves_no_state_behind(frame: pd.DataFrame) -> None:
     before = dict(mpl.rcParams)
-    style.svg(figures.experts(frame))
+    style.svg(trials.experts(frame))
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> None:
-    shown = figures.runs_of(name, frame)
-    text = footer(getattr(figures, name)(frame))
+    shown = sources.runs_of(name, frame)
+    text = footer(FIGURES[name](frame))
     assert text.startswith("budget book (") and "iterations" in text
     assert f"{len(shown)} runs" in text
     assert "not evidence" not in text
@@ -103,11 +103,11 @@ def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> N
 @synthetic.study("tiny")
 @pytest.mark.parametrize("name", FIGURES)
 def test_figures_of_toy_budgets_warn(name: str, frame: pd.DataFrame) -> None:
-    assert footer(getattr(figures, name)(frame)).startswith("not evidence: budget tiny")
+    assert footer(FIGURES[name](frame)).startswith("not evidence: budget tiny")
 
 
 def test_figure_2b_draws_minimum_mean_maximum_and_every_trial(frame: pd.DataFrame) -> None:
-    left = figures.normalised_scores(frame).axes[0]
+    left = trials.normalised_scores(frame).axes[0]
     drawn = lines_at(left, style.METHODS["silem-minus"].color)
     values = results.scores(frame, "silem-minus", "HC1")
     ends = [tuple(line.get_ydata()) for line in drawn if len(set(line.get_ydata())) == 2]
@@ -126,7 +126,7 @@ def pale(axes: Axes, method: str) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("frame", ["five"], indirect=True)
 def test_figure_2b_draws_students_interval_with_its_coverage(frame: pd.DataFrame) -> None:
-    figure_frame, figure = frame, figures.normalised_scores(frame)
+    figure_frame, figure = frame, trials.normalised_scores(frame)
     for axes, column in zip(figure.axes, ("normalised", "speed_m_s"), strict=True):
         first = pale(axes, "silem")[0]
         values = results.scores(frame, "silem", "HC0", column)
@@ -138,18 +138,18 @@ def test_figure_2b_draws_students_interval_with_its_coverage(frame: pd.DataFrame
     for method in ("silem", "silem-minus", "silem-minus-own"):  # the experts alone have five
         frame = frame[frame["method"] != method]
     frame.attrs = figure_frame.attrs
-    assert "Student's 95 %" in footer(figures.normalised_scores(frame))
+    assert "Student's 95 %" in footer(trials.normalised_scores(frame))
 
 
 @pytest.mark.parametrize("frame", ["whole", "single", "empty"], indirect=True)
 def test_figures_draw_no_interval_below_five_trials(frame: pd.DataFrame) -> None:
-    figure = figures.normalised_scores(frame)
+    figure = trials.normalised_scores(frame)
     assert not any(pale(axes, method) for axes in figure.axes for method in style.METHODS)
     assert "no interval below 5 trials" in footer(figure)
 
 
 def test_figure_2b_shows_the_best_expert_and_the_speeds(frame: pd.DataFrame) -> None:
-    left, right = figures.normalised_scores(frame).axes
+    left, right = trials.normalised_scores(frame).axes
     dots = [line.get_ydata()[0] for line in lines_at(left, style.INK)]
     assert dots == [results.scores(frame, "ppo", body).max() for body in ("HC0", "HC1", "HC2")]
     expert = [line.get_ydata() for line in right.lines if line.get_marker() == "P"]
@@ -159,7 +159,7 @@ def test_figure_2b_shows_the_best_expert_and_the_speeds(frame: pd.DataFrame) -> 
 
 @synthetic.study("single")
 def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> None:
-    figure = figures.normalised_scores(frame)
+    figure = trials.normalised_scores(frame)
     for axes in figure.axes:
         for method in ("silem", "silem-minus", "silem-minus-own"):
             drawn = lines_at(axes, style.METHODS[method].color)
@@ -174,7 +174,7 @@ def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> Non
 
 @synthetic.study("partial")
 def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) -> None:
-    words = texts(figures.normalised_scores(frame))
+    words = texts(trials.normalised_scores(frame))
     assert words.count("no run") == 3  # SILEM-minus on HC2, in both panels; HC1's expert
     assert words.count("no expert") == 3  # HC1's runs cannot be normalised
     assert {"n=1", "n=3"} <= set(words)
@@ -182,27 +182,27 @@ def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) ->
 
 @synthetic.study("bad expert")
 def test_an_expert_below_zero_is_no_scale(frame: pd.DataFrame) -> None:
-    words = texts(figures.normalised_scores(frame))
+    words = texts(trials.normalised_scores(frame))
     assert words.count("expert's return ≤ 0") == 3
     assert any(word.startswith("HC2\nexperts −1,") for word in words)
 
 
 @synthetic.study("empty")
 def test_figures_without_any_run_are_all_empty_slots(frame: pd.DataFrame) -> None:
-    assert texts(figures.normalised_scores(frame)).count("no run") == 9 + 12
-    assert texts(figures.experts(frame)).count("no run") == 18
-    assert texts(figures.learning_curves(frame)).count("no run") == 9
-    assert "HC1, no run" in texts(figures.transforms(frame))
+    assert texts(trials.normalised_scores(frame)).count("no run") == 9 + 12
+    assert texts(trials.experts(frame)).count("no run") == 18
+    assert texts(learning.learning_curves(frame)).count("no run") == 9
+    assert "HC1, no run" in texts(affine.transforms(frame))
 
 
 def test_experts_are_drawn_beside_the_papers_numbers(frame: pd.DataFrame) -> None:
-    panel = figures.experts(frame).axes[0]
+    panel = trials.experts(frame).axes[0]
     amber = [line.get_ydata()[0] for line in lines_at(panel, style.PAPER)]
     assert sorted(amber) == [-1555, 2249]
 
 
 def test_affine_or_mlp_puts_reward_against_return(frame: pd.DataFrame) -> None:
-    axes = figures.affine_or_mlp(frame).axes[0]
+    axes = trials.affine_or_mlp(frame).axes[0]
     pink = lines_at(axes, style.METHODS["silem-mlp"].color)
     ours, printed = (np.column_stack(line.get_data()) for line in pink)
     rows = results.cell(frame, "silem-mlp", "HC0")
@@ -211,7 +211,7 @@ def test_affine_or_mlp_puts_reward_against_return(frame: pd.DataFrame) -> None:
 
 
 def test_learning_curves_show_the_mean_over_trials(frame: pd.DataFrame) -> None:
-    figure = figures.learning_curves(frame)
+    figure = learning.learning_curves(frame)
     panel = figure.axes[0]  # return, HC0
     (line,) = lines_at(panel, style.METHODS["ppo"].color)
     final = results.scores(frame, "ppo", "HC0", "return_mean").mean()
@@ -225,22 +225,22 @@ def test_learning_curves_tell_no_run_from_nothing_recorded(
 ) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book"))
-    alone = texts(figures.learning_curves(results.load_records("halfcheetah", "book")))
+    alone = texts(learning.learning_curves(results.load_records("halfcheetah", "book")))
     assert (alone.count("no run"), alone.count("not recorded")) == (4, 0)
     assert "discriminator reward" not in alone
     synthetic.write_record(RunConfig.create("HC1", "silem", budget="book"))
-    figure = figures.learning_curves(results.load_records("halfcheetah", "book"))
+    figure = learning.learning_curves(results.load_records("halfcheetah", "book"))
     words = texts(figure)
     # nothing ran on HC2; HC0's expert has no discriminator
     assert (words.count("no run"), words.count("not recorded")) == (3, 1)
     assert "discriminator reward" in words
     assert len(figure.axes[0].get_yticks()) > 2
-    empty = figures.learning_curves(results.load_records("no-gradient-penalty", "book"))
+    empty = learning.learning_curves(results.load_records("no-gradient-penalty", "book"))
     assert not any(len(axes.get_yticks()) for axes in empty.axes)  # no curve, no scale
 
 
 def test_transforms_mark_each_feature_at_the_trials_mean(frame: pd.DataFrame) -> None:
-    left, right = figures.transforms(frame).axes
+    left, right = affine.transforms(frame).axes
     runs = results.cell(frame, "silem", "HC2")["run_id"]
     mean = np.mean([results.load_transform(run)["b"] for run in runs], axis=0)
     assert any(np.array_equal(line.get_xdata(), mean) for line in right.lines)
@@ -259,12 +259,12 @@ def test_features_are_named_after_joints_and_feet() -> None:
 
 def test_unknown_figures_are_refused(frame: pd.DataFrame) -> None:
     with pytest.raises(SilemError, match="allowed: normalised_scores"):
-        figures.runs_of("figure 9", frame)
+        sources.runs_of("figure 9", frame)
 
 
 def test_saved_figures_are_whole_files(frame: pd.DataFrame, tmp_path: Path) -> None:
     for name in ("a.svg", "b.svg"):
-        style.save(figures.experts(frame), tmp_path / name)
+        style.save(trials.experts(frame), tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
@@ -290,7 +290,7 @@ def test_cell_table_has_a_row_for_every_planned_cell(frame: pd.DataFrame) -> Non
 
 @synthetic.study("partial")
 def test_trace_lists_every_run_with_the_command_that_reruns_it(frame: pd.DataFrame) -> None:
-    shown = figures.runs_of("normalised_scores", frame)
+    shown = sources.runs_of("normalised_scores", frame)
     page = provenance.trace(shown).data
     for row in shown.itertuples():
         assert f"<code>{row.run_id}</code><br><code>{row.command}</code>" in page

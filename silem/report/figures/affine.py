@@ -9,39 +9,35 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from silem import paper
 from silem.report import results, style
 from silem.report.features import Group, feature_groups, feature_names
-from silem.report.figures import sources
+from silem.report.figures import cells, sources
 from silem.util.errors import SilemError, choose
 
 _BODY_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_ENTRIES = {"scale": ("A", 1.0), "offset": ("b", 0.0)}
-_TITLES = {
-    "scale": "A, diagonal: 1 leaves a feature as it is",
-    "offset": "b, offset in each feature's unit: 0 leaves a feature as it is",
+_ENTRIES = {
+    "scale": ("A", 1.0, "A, diagonal: 1 leaves a feature as it is"),
+    "offset": ("b", 0.0, "b, offset in each feature's unit: 0 leaves a feature as it is"),
 }
 _ARMS = ("left hand", "right hand", "elbow")
 _GROUP_GAP = 0.7  # between two groups' features, which stand 1 apart
 
 
 def sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes]]:
-    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b.
-
-    Bands tell groups of features apart; a dashed line stands where nothing is changed.
-    """
+    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b."""
     features = feature_names(body)
     figure, panels = style.new_figure(height_in, ncols=2, sharey=True)
     panels[0].set(ylim=(len(features) - 0.4, -0.6))
     panels[0].set_yticks(range(len(features)), features)
-    for axes, (entry, neutral) in zip(panels, _ENTRIES.values(), strict=True):
-        axes.set_title({"A": "A, diagonal (1: unchanged)", "b": "b, offset (0: unchanged)"}[entry])
+    titles = ("A, diagonal (1: unchanged)", "b, offset (0: unchanged)")
+    for axes, title, (_, neutral, _) in zip(panels, titles, _ENTRIES.values(), strict=True):
+        axes.set_title(title)
         axes.grid(axis="y", visible=True)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        axes.axvline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
+        axes.axvline(neutral, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
         axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
         axes.autoscale_view(scaley=False)
         for first, last in _spans(feature_groups(body))[1::2]:
@@ -55,9 +51,6 @@ def transforms(frame: pd.DataFrame) -> Figure:
     One row per named feature: a small mark per trial, a large one for the trials' mean. An
     untrained transform has A = 1 and b = 0.
 
-    Args:
-        frame: Runs of one study at one budget.
-
     Raises:
         SilemError: Some transform has not as many entries as its body has features.
     """
@@ -68,12 +61,10 @@ def transforms(frame: pd.DataFrame) -> Figure:
         handles = []
         for index, body in enumerate(names):
             rows = results.cell(frame, "silem", body)
-            look: dict[str, Any] = {
-                "ls": "none", "marker": _BODY_MARKERS[index],
-                "color": style.body_color(index, len(names)),
-            }  # fmt: skip
+            look: dict[str, Any] = {"ls": "none", "marker": _BODY_MARKERS[index]}
+            look["color"] = style.body_color(index, len(names))
             label = f"{body}, {style.trials(len(rows))}"
-            handles.append(Line2D([], [], ms=7, mec="white", label=label, **look))
+            handles.append(style.handle(label=label, ms=7, mec="white", **look))
             for entry, axes in panels.items():
                 values = _values(rows, entry)
                 places = np.arange(values.shape[1]) + (index - (len(names) - 1) / 2) * 0.26
@@ -81,6 +72,8 @@ def transforms(frame: pd.DataFrame) -> Figure:
                     axes.plot(trial, places, ms=2.5, alpha=0.45, mec="none", **look)
                 if len(values):
                     axes.plot(values.mean(axis=0), places, ms=5, mec="white", mew=0.5, **look)
+        for axes in panels.values() if frame.empty else ():
+            cells.say(axes, "no run")
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
         sources.footer(figure, frame)
     return figure
@@ -101,28 +94,25 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
     Raises:
         SilemError: Another `which`, runs of other bodies, or a transform of another length.
     """
-    choose("part of the transform", which, _ENTRIES)
+    entry, neutral, title = _ENTRIES[choose("part of the transform", which, _ENTRIES)]
     frame = sources.runs_of("affine_transforms", frame)
-    entry, neutral = _ENTRIES[which]
     names = results.body_names(frame)
     groups = feature_groups(names[0])
     n_best = paper.number("best_policies_shown")
-    dashed: dict[str, Any] = {"lw": 1, "ls": (0, (3, 2)), "marker": "x", "ms": 4}
     with style.applied():
         figure, axes = style.new_figure(3.9)
-        axes.set_title(_TITLES[which])
-        axes.axhline(neutral, color=style.MUTED, lw=1, ls=(0, (4, 3)))
+        axes.set_title(title)
+        axes.axhline(neutral, color=style.MUTED, lw=1, ls=cells.LEVEL_DASHES)
         places = _feature_axis(axes, groups)
         handles = []
         for index, body in enumerate(names):
             color = style.MUTED if index == 0 else style.body_color(1, 2)
-            rows = results.cell(frame, "silem", body)
-            best = _values(rows.sort_values("return_mean", ascending=False).head(n_best), entry)
-            others = results.stand_ins(frame, "silem", body)
             thick: dict[str, Any] = {"color": color, "lw": 2.4, "marker": _BODY_MARKERS[index]}
-            lines = [
-                (values, {"lw": 0.8, "alpha": 0.55, "marker": ".", "ms": 3}) for values in best
-            ]
+            thin: dict[str, Any] = {"lw": 0.8, "alpha": 0.55, "marker": ".", "ms": 3}
+            dashed: dict[str, Any] = {"lw": 1, "ls": (0, (3, 2)), "marker": "x", "ms": 4}
+            rows, others = (of(frame, "silem", body) for of in (results.cell, results.stand_ins))
+            best = _values(rows.sort_values("return_mean", ascending=False).head(n_best), entry)
+            lines = [(values, thin) for values in best]
             lines += [(values, dashed) for values in _values(others, entry)]
             if len(best):
                 lines.append((best.mean(axis=0), thick | {"ms": 5, "mec": "white", "mew": 0.6}))
@@ -131,7 +121,7 @@ def affine_transforms(frame: pd.DataFrame, which: str) -> Figure:
                     axes.plot(places[columns], values[columns], **{"color": color} | look)
             words = {0: "no run", 1: "one policy"}.get(len(best), f"{len(best)} policies")
             words += "".join(f"; dashed: {n:,} iterations" for n in others["n_iterations"])
-            handles.append(Line2D([], [], label=f"{body}, {words}", **thick))
+            handles.append(style.handle(label=f"{body}, {words}", **thick))
         axes.update_datalim([(0, neutral - 0.1), (0, neutral + 0.1)])  # shown at least
         axes.autoscale_view(scalex=False)
         figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
@@ -164,12 +154,13 @@ def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
     """Lay the features along the x axis, named, in groups; return their places (F,)."""
     places = np.empty(sum(len(group.columns) for group in groups))
     for index, group in enumerate(groups):
-        places[list(group.columns)] = np.array(group.columns) + index * _GROUP_GAP
-        arm = group.name in _ARMS
-        for place in places[list(group.columns)]:
-            axes.axvline(
-                place, color="#c9c9c9" if arm else "#ececec", lw=3 if arm else 0.8, zorder=0
-            )
+        columns = list(group.columns)
+        places[columns] = np.array(columns) + index * _GROUP_GAP
+        look: dict[str, Any] = {"color": "#ececec", "lw": 0.8}
+        if group.name in _ARMS:
+            look = {"color": "#c9c9c9", "lw": 3}
+        for place in places[columns]:
+            axes.axvline(place, zorder=0, **look)
     labels = dict(chain.from_iterable(zip(g.columns, g.labels, strict=True) for g in groups))
     axes.set_xticks(places, [labels[column] for column in range(len(places))])
     axes.set_xlim(places[0] - 0.7, places[-1] + 0.7)

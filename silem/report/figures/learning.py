@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from silem import bodies
@@ -35,9 +34,6 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     shortest ends; runs of another number of iterations than planned are dashed. Where all
     runs are experts' there is no row for the discriminator. Humanoids' episodes end with a fall,
     and a row shows when.
-
-    Args:
-        frame: Runs of one study at one budget.
     """
     frame = sources.runs_of("learning_curves", frame)
     names = results.body_names(frame)
@@ -51,11 +47,20 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
             sharey="row", squeeze=False,
         )  # fmt: skip
         for column, body in zip(grid.T, names, strict=True):
-            curves = {m: _curves(results.cell(frame, m, body)) for m in drawn}
-            others = {m: _curves(results.stand_ins(frame, m, body)) for m in drawn}
             column[0].set_title(body)
-            for axes, quantity in zip(column, quantities, strict=True):
-                _draw_means(axes, curves, others, quantity)
+            for method in drawn:
+                curves = _curves(results.cell(frame, method, body))
+                others = _curves(results.stand_ins(frame, method, body))
+                for axes, quantity in zip(column, quantities, strict=True):
+                    for curve in others:
+                        _draw_mean(axes, [curve], quantity, method, lw=1.2, ls=_DASHES[1])
+                    _draw_mean(axes, curves, quantity, method, lw=1.5)
+            word = "not recorded" if (frame["body"] == body).any() else "no run"
+            for axes in column:
+                axes.margins(x=0.01)
+                axes.xaxis.set_major_locator(MaxNLocator(4))
+                if not axes.lines:
+                    cells.say(axes, word)
             column[-1].set_xlabel("million timesteps")
             if not any(axes.lines for axes in column):
                 column[-1].set_xticks([])  # a scale without a curve means nothing
@@ -98,7 +103,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
                     axes.plot(curve["iteration"], curve[quantity], color=color, ls=dashes, lw=1.6)
             if not axes.lines:
                 axes.set(xticks=[], yticks=[])
-                _say(axes, "no run")
+                cells.say(axes, "no run")
         for axes in grid[1]:
             axes.set_xlabel("iteration")
         named = [f"{name}: {style.trials(len(frame))}" for name, frame in groups.items()]
@@ -117,8 +122,8 @@ def _legend(
 ) -> None:
     """Name the methods' colours, and then what dashes mean."""
     looks = [style.method(name, original) for name in methods]
-    handles = [Line2D([], [], color=look.color, lw=2.2, label=look.label) for look in looks]
-    handles += [Line2D([], [], color=style.MUTED, ls=ls, label=label) for label, ls in dashes]
+    handles = [style.handle(look.color, look.label, lw=2.2) for look in looks]
+    handles += [style.handle(style.MUTED, label, ls=ls) for label, ls in dashes]
     if handles:
         figure.legend(handles=handles, loc="outside upper left", ncols=ncols)
 
@@ -127,52 +132,23 @@ def _curves(rows: pd.DataFrame) -> list[pd.DataFrame]:
     return [results.load_curve(run_id) for run_id in rows["run_id"]]
 
 
-def _draw_means(
-    axes: Axes,
-    curves: dict[str, list[pd.DataFrame]],
-    others: dict[str, list[pd.DataFrame]],
-    quantity: str,
+def _draw_mean(
+    axes: Axes, trials: Sequence[pd.DataFrame], quantity: str, method: str, **look: Any
 ) -> None:
-    """Draw one quantity of one body: mean and range over trials of every method."""
-    axes.margins(x=0.01)
-    axes.xaxis.set_major_locator(MaxNLocator(4))
-    for method, trials in curves.items():
-        color = style.method(method).color
-        for curve in others[method]:
-            x, values = _on_one_grid([curve], quantity)
-            if len(values):
-                axes.plot(x / 1e6, values[0], color=color, lw=1.2, ls=_DASHES[1])
-        x, values = _on_one_grid(trials, quantity)
-        if len(values):
-            axes.plot(x / 1e6, values.mean(axis=0), color=color, lw=1.5)
-        if len(values) > 1:
-            span = values.min(axis=0), values.max(axis=0)
-            axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
-    if not axes.lines:
-        _say(axes, "not recorded" if any([*curves.values(), *others.values()]) else "no run")
-
-
-def _say(axes: Axes, word: str) -> None:
-    middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
-    axes.text(0.5, 0.5, word, color=style.MUTED, **middle)
-
-
-def _on_one_grid(trials: list[pd.DataFrame], quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Bring the trials' curves to the same timesteps.
-
-    Returns:
-        Timesteps (P,) and values (N, P) of the trials that know the quantity.
-    """
+    """Draw the mean of those trials that know a quantity, and their range, on one grid of steps."""
     known = [curve[["timesteps", quantity]].dropna() for curve in trials]
     known = [curve for curve in known if len(curve)]
     if not known:
-        return np.empty(0), np.empty((0, 0))
+        return
     first = max(curve["timesteps"].iloc[0] for curve in known)
     last = min(curve["timesteps"].iloc[-1] for curve in known)
-    x = np.linspace(first, last, _N_POINTS)
+    x, color = np.linspace(first, last, _N_POINTS), style.method(method).color
+    smooth = [c.rolling(min(_SMOOTHING, len(c)), center=True, min_periods=1).mean() for c in known]
     values = [
-        np.interp(x, curve["timesteps"], curve[quantity].rolling(
-            min(_SMOOTHING, len(curve)), center=True, min_periods=1).mean())
-        for curve in known
-    ]  # fmt: skip
-    return x, np.stack(values)
+        np.interp(x, curve["timesteps"], means[quantity])
+        for curve, means in zip(known, smooth, strict=True)
+    ]
+    axes.plot(x / 1e6, np.mean(values, axis=0), color=color, **look)
+    if len(values) > 1:
+        span = np.min(values, axis=0), np.max(values, axis=0)
+        axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)

@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from silem.report import results, style
-from silem.study.settings import METHODS
+from silem.study.settings import BUDGETS, METHODS
 from silem.util.errors import SilemError, choose
 
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
@@ -15,11 +15,9 @@ IMITATORS = ("silem", "silem-minus", "silem-minus-own")
 COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 """The methods of Figure 3b."""
 
-_ALL = tuple(dict.fromkeys((*IMITATORS, *COMPARED)))
-
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
-    "normalised_scores": (("ppo", *_ALL), None),
+    "normalised_scores": (("ppo", *IMITATORS), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
@@ -27,27 +25,12 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "humanoid_scores": (("ppo", *COMPARED), ("Atlas", "Humanoid", "HumanoidR")),
     "affine_transforms": (("silem",), ("Humanoid", "HumanoidR")),
 }
-
-OF_STUDY = {
-    "halfcheetah": (
-        "normalised_scores", "experts", "affine_or_mlp", "learning_curves", "transforms",
-    ),
-    "humanoids": (
-        "humanoid_scores", "affine_transforms", "experts", "learning_curves", "transforms",
-    ),
-}  # fmt: skip
-"""The figures in which each study is told."""
-
 # The figures that mark runs of another number of iterations; the others leave them out.
 _WITH_STAND_INS = ("learning_curves", "humanoid_scores", "affine_transforms")
 
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs that a figure shows.
-
-    Args:
-        figure: Name of the figure's function, e.g. ``"normalised_scores"``.
-        frame: Runs of one study at one budget.
+    """Return the runs that a figure, named by its function, shows.
 
     Raises:
         SilemError: There is no such figure, its bodies are not the study's, or the table mixes
@@ -63,15 +46,10 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
     return results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
 
 
-def imitators(frame: pd.DataFrame) -> list[str]:
-    """List the imitating methods that a table's study compares, in the paper's order."""
-    return results.planned_methods(frame, _ALL)
-
-
 def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = True) -> None:
     """Write under a figure which budget and how many runs it shows, and warn of toy budgets."""
     budget = results.context(frame)[1]
     shown = results.describe(frame) if runs else f"budget {budget}"
     text = "; ".join(part for part in (shown, note) if part)
-    evidence = results.is_evidence(budget)
+    evidence = BUDGETS[budget].is_evidence
     style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)
