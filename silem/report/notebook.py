@@ -1,12 +1,21 @@
-"""What the notebooks share: how figures, tables, videos and numbers are shown."""
+"""What the notebooks share: their parameters, and how figures, tables, films and numbers are shown.
+
+A notebook's second cell, tagged ``parameters``, holds plain literals; papermill injects a cell of
+overriding literals after it. papermill only warns about a name the notebook does not know and
+never checks a type, so a misspelt parameter would silently run the defaults. The third cell
+therefore calls `parameters`.
+"""
 
 from __future__ import annotations
 
+import ast
 import base64
 import html
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, groupby
 from numbers import Integral, Real
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,13 +29,100 @@ from pandas.io.formats.style import Styler
 from silem.report import film as films
 from silem.report import results, style, tables
 from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
-from silem.report.parameters import literal_assignments, parameters
 from silem.study.config import TRIAL_SEEDS
+from silem.util.errors import SilemError
 
-__all__ = [
-    "film", "literal_assignments", "note", "parameters", "play", "play_first_trials", "say", "show",
-    "show_picture", "table", "text",
-]  # fmt: skip
+_PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
+_TRIAL = 400, 300  # pixels of one trial's film
+
+# ---------------------------------------------------------------- parameters
+
+
+def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
+    """Check a notebook's parameters and return them as attributes.
+
+    In Jupyter and papermill, the names checked are those assigned by the last cells that held
+    nothing but assignments of literals: the ``parameters`` cell and the one papermill injects.
+    Variables of other cells are no parameters, and the cell can be run again at any time.
+
+    Args:
+        namespace: The notebook's ``globals()``, or a dict of parameters, which is checked whole.
+        **schema: For each parameter its type (``str``, ``int``, ``float`` or ``bool``) or the
+            strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
+
+    Raises:
+        SilemError: Some parameter is unknown, missing, of a wrong type, not finite, or not one
+            of the strings allowed. The message names each and lists what is allowed.
+    """
+    problems = [f"unknown parameter {n!r}" for n in _given(namespace) if n not in schema]
+    problems += [f"parameter {name!r} is missing" for name in schema if name not in namespace]
+    values = {name: namespace[name] for name in schema if name in namespace}
+    for name, value in values.items():
+        if not _conforms(value, schema[name]):
+            problems.append(f"{name} = {value!r} is not {_describe(schema[name])}")
+        elif schema[name] is float:
+            values[name] = float(value)
+    if problems:
+        listing = "; ".join(f"{name}: {_describe(allowed)}" for name, allowed in schema.items())
+        raise SilemError(f"{'; '.join(problems)}. Allowed: {listing}")
+    return SimpleNamespace(**values)
+
+
+def _given(namespace: Mapping[str, Any]) -> list[str]:
+    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
+    if "get_ipython" not in namespace:
+        return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
+    assigned = [literal_assignments(source) for source in namespace.get("In", [])]
+    neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
+    names = chain(*neighbours[-1]) if neighbours else ()
+    return [name for name in dict.fromkeys(names) if name in namespace]
+
+
+def literal_assignments(source: str) -> list[str]:
+    """Return the names that a cell assigns, if it does nothing but assign literals, else []."""
+    try:
+        statements = ast.parse(source).body
+    except SyntaxError:
+        return []
+    names = []
+    for statement in statements:
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or not _literal(statement.value):
+            return []
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        names += [target.id for target in targets if isinstance(target, ast.Name)]
+    return names
+
+
+def _literal(node: ast.expr | None) -> bool:
+    """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
+        return all(isinstance(argument, ast.Constant) for argument in node.args)
+    try:
+        ast.literal_eval(node)  # type: ignore[arg-type]
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
+def _conforms(value: Any, allowed: type | Sequence[str]) -> bool:
+    """Whether a parameter's value is what the schema allows."""
+    if not isinstance(allowed, type):
+        return isinstance(value, str) and value in allowed
+    if isinstance(value, bool) or allowed is bool:
+        return isinstance(value, bool) and allowed is bool
+    if allowed is float:
+        return isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, allowed)
+
+
+def _describe(allowed: type | Sequence[str]) -> str:
+    """What the schema allows, in words."""
+    if isinstance(allowed, type):
+        return "a finite float" if allowed is float else f"of type {allowed.__name__}"
+    return f"one of {', '.join(allowed)}"
+
+
+# ---------------------------------------------------------------- display
 
 
 def show(figure: Figure) -> None:
@@ -100,39 +196,48 @@ def film(make: Callable[[], Clip], caption: str) -> None:
         play(make(), caption)
 
 
-def play_first_trials(
-    records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
+def play_trials(
+    records: pd.DataFrame,
+    methods: Sequence[str],
+    body: str,
+    duration_s: float,
+    *,
+    best: bool = False,
 ) -> None:
-    """Film the first trial of each method on a body, side by side, from the saved policies.
+    """Film one trial of each method on a body, from one start and side by side.
 
-    The first trial rather than the best one: its seed was fixed before any run was made. What
-    cannot be filmed, because that run is not there yet, is named instead.
+    The first trial, whose seed was fixed before any run was made, or the best one. A run of another
+    number of iterations than planned only counts where there is no planned one. What cannot be
+    filmed is named instead.
 
     Args:
         records: Runs of one study at one budget, from `silem.report.results.load_records`.
         methods: The methods, from left to right.
         body: The body.
-        duration_s: Simulated time to film, seconds.
+        duration_s: Simulated time to film, seconds; whoever falls stands still from then on.
+        best: Film each method's trial of the highest return.
     """
-    chosen = {}
+    if why := why_no_pictures(body):
+        return note(f"No videos of {body}: {why}")
+    chosen, absent = {}, []
     for method in methods:
-        label = style.method(method, results.original_body(records)).label
-        of_cell = (records["method"] == method) & (records["body"] == body)
-        first = records[of_cell & (records["seed"] == TRIAL_SEEDS[0])]
-        record = results.find(first["run_id"].iloc[0]) if len(first) else None
-        if record is None:
-            note(f"No policy of {label} on {body} has been published at this budget yet.")
-            continue
-        if first["stand_in"].iloc[0]:
-            label += f", {first['n_iterations'].iloc[0]:,} iterations"
-        if why := why_no_pictures(body):
-            note(f"No video of {label} on {body}: {why}")
-            continue
-        chosen[label] = record
+        look = style.method(method, results.original_body(records))
+        label = look.label.partition(",")[0]
+        groups = [find(records, method, body) for find in (results.cell, results.stand_ins)]
+        if not best:
+            groups = [runs[runs["seed"] == TRIAL_SEEDS[0]] for runs in groups]
+        runs = next((runs for runs in groups if len(runs)), None)
+        if runs is None:
+            absent.append(label)
+        else:
+            run = runs.loc[runs["return_mean"].idxmax()]
+            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
+            chosen[label] = results.find(run["run_id"])
     if chosen:
-        clips = films.of_runs(chosen, duration_s)
-        text = f"{body}, first trial, in real time: {' | '.join(clips)}"
-        play(films.grid(clips), text)
+        clips, which = films.of_runs(chosen, duration_s, _TRIAL), "best" if best else "first"
+        play(films.grid(clips), f"{body}, {which} trials, in real time: {' | '.join(clips)}")
+    if absent:
+        note(f"No finished run on {body} yet: {'; '.join(absent)}.")
 
 
 def text(words: str) -> None:

@@ -252,7 +252,7 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
     assert "0 runs" in text
     if name == "05_halfcheetah":
         assert set(said(page).values()) == {"–"}
-        assert "No policy of SILEM on HC2 has been published" in text
+        assert "No finished run on HC2 yet: SILEM" in text
     if name == "07_scorecard":
         assert said(page)["n_undecided"] == str(len(claims.of("halfcheetah")))
 

@@ -278,32 +278,7 @@ def _whole(value: float) -> float:
 FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
 """The methods that are filmed, in their order on the page."""
 
-_SIZE = 320, 300  # pixels of one clip
-
-
-def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
-    """Film the best trial of every method on a body, and play the clips as one grid.
-
-    Each starts from the same seed, stands still on its last picture once the body has fallen, and
-    says when that was. What cannot be filmed is named instead.
-    """
-    if why := film.why_no_pictures(body):
-        notebook.note(f"No videos of {body}: {why}")
-        return
-    chosen, absent = {}, []
-    for method in FILMED:
-        label, run = style.method(method, "").label.partition(",")[0], best(frame, method, body)
-        if run is None:
-            absent.append(label)
-        else:
-            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
-            chosen[label] = results.find(run["run_id"])
-    if chosen:
-        clips = film.of_runs(chosen, duration_s, _SIZE)
-        text = f"{body}, best trials, in real time: {' | '.join(clips)}"
-        notebook.play(film.grid(clips), text)
-    if absent:
-        notebook.note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+_SIZE = 320, 300  # pixels of a picture in the strip
 
 
 def show_strip(run_id: str, duration_s: float) -> None:
@@ -315,14 +290,3 @@ def show_strip(run_id: str, duration_s: float) -> None:
     else:
         (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
         notebook.show_picture(film.strip(clip, n_frames=6))
-
-
-def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:
-    """Return a cell's run of the highest return, None without any.
-
-    A run of another number of iterations than planned only counts where there is no planned one.
-    """
-    for runs in (results.cell(frame, method, body), results.stand_ins(frame, method, body)):
-        if len(runs):
-            return runs.loc[runs["return_mean"].idxmax()]
-    return None
