@@ -142,10 +142,7 @@ def show_picture(picture: np.ndarray) -> None:
 def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
     """Return a table in the book's look; a named index becomes its first column.
 
-    Args:
-        frame: The table.
-        digits: Digits after the point of numbers that are not whole; None writes them as they are.
-        caption: What it shows.
+    Numbers that are not whole get `digits` after the point; with None they stay as they are.
     """
     named = frame.reset_index() if frame.index.name else frame
     return tables.styled(named.map(lambda value: _cell(value, digits)), caption)
@@ -160,12 +157,7 @@ def _cell(value: Any, digits: int | None) -> str:
 
 
 def play(clip: Clip | None, caption: str) -> None:
-    """Embed a clip as a video that needs neither a network nor a file beside the page.
-
-    Args:
-        clip: The clip; it plays at the speed of the simulation. None says that there is none yet.
-        caption: What it shows, as plain text.
-    """
+    """Embed a clip as a video that needs no file beside the page; None: say that there is none."""
     if clip is None:
         return note(f"No video ({caption}): no run with a policy has been published yet.")
     height, width = clip.frames.shape[1:3]
@@ -184,12 +176,7 @@ def play(clip: Clip | None, caption: str) -> None:
 
 
 def film(make: Callable[[], Clip], caption: str) -> None:
-    """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead.
-
-    Args:
-        make: Makes the clip, e.g. ``lambda: film.rollout("Atlas")``.
-        caption: What it shows, as plain text.
-    """
+    """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead."""
     if why := why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
     else:
@@ -208,14 +195,7 @@ def play_trials(
 
     The first trial, whose seed was fixed before any run was made, or the best one. A run of another
     number of iterations than planned only counts where there is no planned one. What cannot be
-    filmed is named instead.
-
-    Args:
-        records: Runs of one study at one budget, from `silem.report.results.load_records`.
-        methods: The methods, from left to right.
-        body: The body.
-        duration_s: Simulated time to film, seconds; whoever falls stands still from then on.
-        best: Film each method's trial of the highest return.
+    filmed is named instead; whoever falls stands still from then on.
     """
     if why := why_no_pictures(body):
         return note(f"No videos of {body}: {why}")
@@ -259,12 +239,10 @@ def _display_html(text: str) -> None:
 
 
 def say(**values: float | str | np.ndarray | None) -> None:
-    """Make numbers available to the page's sentences, through ``{glue:text}`name` ``.
+    """Make numbers and texts available to the page's sentences, through ``{glue:text}`name` ``.
 
-    Args:
-        **values: Numbers or texts by the name that the sentences use; of an array, such as the
-            scores of a cell's trials, the mean. None, NaN and an empty array, for what no run has
-            shown yet, become a dash.
+    Of an array, such as the scores of a cell's trials, that is the mean. None, NaN and an empty
+    array, for what no run has shown yet, become a dash.
     """
     for name, value in values.items():
         if isinstance(value, np.ndarray):

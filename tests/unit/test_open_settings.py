@@ -164,19 +164,20 @@ def test_the_search_names_the_best_and_what_it_gains(write) -> None:
     assert "in use)" in said
 
 
-def test_the_figure_shows_every_setting_tried_or_not(write) -> None:
-    figure = search.found(write(lambda config: 0.5 if config.method == "silem" else None))
+def test_the_table_shows_every_setting_tried_or_not(write) -> None:
+    shown = search.found(write(lambda c: 0.5 if c.method == "silem" else None)).data
+    silem, minus = (shown[shown["method"] == name] for name in ("SILEM", "SILEM⁻"))
     planned = {cell.overrides for cell in cells("open-settings") if cell.method == "silem"}
-    silem, minus = figure.axes
-    assert len(silem.get_yticklabels()) == len(planned)
-    assert "no run" not in [text.get_text() for text in silem.texts]
-    assert {text.get_text() for text in minus.texts} == {"no run"}
-    assert_readable(figure)
+    assert len(silem) == len(planned)
+    assert not silem["mean"].str.contains("–").any()
+    assert silem["mean"].str.contains("<strong>0.5").any()
+    assert set(minus["mean"]) == set(minus["HC1"]) == {"–"}
+    assert silem["setting"].str.startswith("→ ").sum() == 1
 
 
 def test_without_any_run_the_plan_is_shown(write) -> None:
     frame = write(lambda config: None)
-    assert_readable(search.found(frame))
+    assert set(search.found(frame).data["mean"]) == {"–"}
     assert "0 of 5 settings have their runs" in search.says(frame)
     assert "best" not in search.says(frame)
 

@@ -187,11 +187,16 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
             column[0].set_title(body)
             for axes, quantity in zip(column, titles, strict=True):
                 _draw_slots(axes, frame[frame["body"] == body], names, quantity)
+            labels = []
             for x, name in enumerate(names):
+                about = "no run"
                 if (found := shown[name]) is not None:
-                    speed = found.gait.speed_m_s
-                    column[1].plot([x - 0.3, x + 0.3], [speed, speed], color=style.MUTED, lw=1.4)
-            column[1].set_xticks(range(len(names)), [_named(name, shown[name]) for name in names])
+                    g = found.gait
+                    column[1].hlines(g.speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
+                    pitch = tables.number(g.pitch_rad, 2)
+                    about = f"{pitch} rad\n{g.joints_at_limit:.1f} joints"
+                labels.append(f"trial {_trial(name)}\n{about}")
+            column[1].set_xticks(range(len(names)), labels)
             column[1].tick_params(axis="x", labelsize=7.5, length=0)
         for axes, title in zip(grid[:, 0], titles.values(), strict=True):
             axes.set_ylabel(title)
@@ -317,10 +322,3 @@ def _trial(name: str) -> int | None:
 
 def _label(method: str) -> str:
     return method.partition(" (")[0]
-
-
-def _named(name: str, found: ExpertGait | None) -> str:
-    if found is None:
-        return f"trial {_trial(name)}\nno run"
-    pitch, joints = tables.number(found.gait.pitch_rad, 2), found.gait.joints_at_limit
-    return f"trial {_trial(name)}\n{pitch} rad\n{joints:.1f} joints"

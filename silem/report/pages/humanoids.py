@@ -43,10 +43,6 @@ def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
 
     Strokes on the floor are a metre apart along x, the way that he walks. Where nothing can be
     drawn offscreen, a body's panel says so.
-
-    Args:
-        motion: The demonstrator's motion.
-        names: The humanoids.
     """
     points = motion.points
     rows: list[Any] = [["walk"] * len(names), list(names)]
@@ -316,18 +312,12 @@ def _rewards(
 def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) -> film.Clip:
     """Film humanoids that start as in an episode and have no policy, side by side, in real time.
 
-    Unlike an episode, the film goes on when they have fallen.
-
-    Args:
-        names: The humanoids.
-        torque: Every motor gets a random share of its greatest torque, uniformly from -torque to
-            torque and anew at every control step; 0 leaves all joints limp.
-        duration_s: Simulated time, seconds.
-        seed: Seed of start states and torques.
+    Unlike an episode, the film goes on when they have fallen. Every motor gets a random share of
+    its greatest torque, uniformly from -torque to torque, anew at every control step.
 
     Raises:
-        SilemError: A body is no humanoid, the duration is not positive, the torque is not from 0
-            to 1, or nothing can be drawn offscreen here.
+        SilemError: The duration is not positive, the torque is not from 0 (all joints limp) to 1,
+            or nothing can be drawn offscreen here.
     """
     if not (duration_s > 0 and 0 <= torque <= 1):
         raise SilemError(
@@ -349,13 +339,7 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
 
 
 def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
-    """Return how long humanoids stand without a policy, and what it earns: means over episodes.
-
-    Args:
-        names: The humanoids.
-        n_episodes: Episodes of each, without torques and with random ones.
-        seed: Seed of the start states and of the random torques.
-    """
+    """Return how long humanoids stand without a policy, and what it earns: means over episodes."""
     rows: dict[str, dict[str, float]] = {}
     for body in map(body_of, names):
         row = rows.setdefault(body.name, {})
