@@ -176,7 +176,7 @@ def play(clip: Clip | None, caption: str) -> None:
 
 
 def film(make: Callable[[], Clip], caption: str) -> None:
-    """Make a clip of humanoids and play it; where nothing can be drawn offscreen, say why instead."""
+    """Make and play a clip of humanoids; where nothing can be drawn offscreen, say why instead."""
     if why := why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
     else:
