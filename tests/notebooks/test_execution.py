@@ -246,7 +246,8 @@ def test_open_settings(execute: Execute) -> None:
     )
     assert spoken["travel_says"].startswith(f"Of {transforms} transforms")
     assert "in the study now" in words(output(page, "search"))
-    for cell_id in ("travel", "humanoid-ppo-curves", "humanoid-silem-curves"):
+    assert "How far the transforms went" in words(output(page, "travel"))
+    for cell_id in ("humanoid-ppo-curves", "humanoid-silem-curves"):
         assert output(page, cell_id).startswith("<svg")
     assert "hc2_gp1_1000" in words(output(page, "open-91"))
 

@@ -215,7 +215,6 @@ def test_travel_is_the_largest_entry(write) -> None:
     arrays = results.load_transform(table["run_id"][0])
     assert table["A"][0] == np.abs(arrays["A"] - 1).max()
     assert table["b"][0] == np.abs(arrays["b"]).max()
-    assert_readable(search.draw_travel(table))
 
 
 def test_how_many_reached_their_bound_is_told() -> None:
@@ -226,6 +225,15 @@ def test_how_many_reached_their_bound_is_told() -> None:
     assert "Of 2 transforms 1 went to their bound" in search.travel_says(table)
     assert "58 % of it" in search.travel_says(table)  # between 97 % and 20 %
     assert "No run" in search.travel_says(table[:0])
-    low, high = search.draw_travel(table.assign(A=[0.29, 0.0])).axes[0].get_ylim()  # one at rest
-    assert 0.001 < low < 0.03 < 0.29 < high
-    assert_readable(search.draw_travel(table[:0]))
+
+
+def test_travel_is_told_for_each_body_and_bound() -> None:
+    table = pd.DataFrame(
+        {"body": ["HC1", "HC1", "HC2"], "allowed": [0.3] * 3,
+         "A": [0.29, 0.06, 0.2], "b": [0.1, 0.03, 0.02]}
+    )  # fmt: skip
+    one, two = search.travel_table(table).to_dict("records")
+    assert (one["body"], one["runs"], one["rate of T × its steps"]) == ("HC1", "2", "0.3")
+    assert one["largest |A − 1|"] == "0.17, at most 0.29"
+    assert two["largest |b|"] == "0.02, at most 0.02"
+    assert list(search.travel_table(table[:0])["runs"]) == ["no run"]

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 from pandas.io.formats.style import Styler
 
 from silem import bodies
@@ -155,36 +154,15 @@ def travel_says(table: pd.DataFrame) -> str:
     )
 
 
-def draw_travel(table: pd.DataFrame) -> Figure:
-    """Draw the largest entry of A - 1 and of b of each run against what T's rate allows."""
-    names = [name for name in bodies.names() if name in set(table["body"])]
-    values = table[["allowed", "A", "b"]].to_numpy(dtype=float)
-    exponents = np.log10(values[values > 0])
-    low, high = np.floor(exponents.min(initial=-0.5)), np.ceil(exponents.max(initial=-0.5))
-    ends = 10 ** np.array([low - 0.1, high + 0.1])
-    with style.applied():
-        figure, panels = style.new_figure(3.3, ncols=2, sharex=True, sharey=True)
-        for axes, entry in zip(panels, ("A", "b"), strict=True):
-            axes.plot(ends, ends, color=style.MUTED, lw=1, ls=(0, (4, 3)))
-            for index, body in enumerate(names):
-                runs = table[table["body"] == body]
-                axes.plot(
-                    runs["allowed"], runs[entry], "os^"[index % 3], ms=5, mec="white", mew=0.5,
-                    color=style.body_color(index, len(names)),
-                    label=f"{body}, {len(runs)} run{'s' if len(runs) > 1 else ''}",
-                )  # fmt: skip
-            title = "largest |A − 1|" if entry == "A" else "largest |b|"
-            axes.set(xscale="log", yscale="log", title=title, xlabel="rate of T × its steps")
-            axes.set(xlim=ends, ylim=ends)
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_formatter("{x:g}")
-                axis.set_minor_formatter(NullFormatter())
-            axes.grid(axis="x")
-        if names:
-            handles, labels = panels[0].get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside upper left", ncols=4)
-        style.footer(figure, f"{len(table)} runs with an affine transform; dashed: equal")
-    return figure
+def travel_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, medians and largest of the transforms' travel for each body and bound."""
+    rows = []
+    for (body, allowed), runs in table.groupby(["body", "allowed"]):
+        row = {"body": body, "runs": str(len(runs)), "rate of T × its steps": f"{allowed:.3g}"}
+        for entry, title in (("A", "largest |A − 1|"), ("b", "largest |b|")):
+            row[title] = f"{runs[entry].median():.2g}, at most {runs[entry].max():.2g}"
+        rows.append(row)
+    return pd.DataFrame(rows or [{"body": tables.DASH, "runs": "no run"}])
 
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
