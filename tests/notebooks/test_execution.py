@@ -76,7 +76,8 @@ def test_bodies(execute: Execute, tmp_path: Path) -> None:
         picture = base64.b64decode(pictures[name][0].data["image/png"])
         assert Image.open(io.BytesIO(picture)).size == size
     table = words(output(page, "differs"))
-    for name in bodies.names():
+    assert "Atlas" not in table  # the humanoids have a page of their own
+    for name in bodies.names("halfcheetah") + bodies.names("ant"):
         length_m = bodies.get(name).length[1]
         assert re.search(rf"{name} \D+ {length_m:.2f} {describe(name)['total_mass_kg']:.2f}", table)
     assert "Ant0 Ant1" in words(output(page, "lengths"))  # the family of the body asked for

@@ -66,7 +66,7 @@ def test_one_number_is_read_from_one_curve() -> None:
 
 def test_a_table_shows_what_was_varied_best_first() -> None:
     table = search.table(search.load("humanoids", "silem"))
-    assert "clip range" not in table  # the same in all of them
+    assert not {"clip range", "body", "method"} & set(table)  # the same in all of them
     assert {"gradient penalty", "starts", "discriminator reward", "steps before a fall"} <= set(
         table
     )

@@ -232,8 +232,8 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     varied = [name for name in _NAMES if name in frame and frame[name].nunique() > 1]
     rows = []
     for run in ordered.to_dict("records"):
-        label = _label(run["body"], run["method"])
-        row = {"run": run["name"], "body": run["body"], "method": label}
+        told = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        row = {"run": run["name"]} | {n: v for n, v in told.items() if frame[n].nunique() > 1}
         row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in _QUANTITIES.items():
