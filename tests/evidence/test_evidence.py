@@ -13,7 +13,7 @@ import pytest
 from silem.bodies import humanoid
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
-from silem.report import figures, results
+from silem.report import results
 from silem.study import verify
 from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import expert_of
@@ -24,7 +24,6 @@ from silem.util import files, paths
 DATA = paths.REPO / "data"
 RECORDS = sorted((DATA / "results").glob(f"*/*/{RECORD}"))
 STUDIES = sorted({path.parent.parent.name for path in RECORDS})
-FIGURES = [(study, name) for study in STUDIES for name in figures.OF_STUDY.get(study, ())]
 MANIFEST_PATH = DATA / "demonstrations" / MANIFEST
 MANIFEST_CONTENT = files.read_json(MANIFEST_PATH) if MANIFEST_PATH.is_file() else {}
 MAX_BYTES = 1_000_000  # of one committed file: evidence, not checkpoints
@@ -82,21 +81,6 @@ def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
             same = [frame[name] == getattr(config, name) for name in ("method", "body", "seed")]
             longest = frame.loc[same[0] & same[1] & same[2], "n_iterations"].max()
             assert config.budget.n_iterations < longest, run_id
-
-
-@needs_records
-@pytest.mark.parametrize(("study", "name"), FIGURES)
-def test_every_cell_of_a_published_figure_has_a_run(study: str, name: str) -> None:
-    records = results.load_records(study, "book")
-    there = set(zip(records["method"], records["body"], records["seed"], strict=True))
-    missing = figures.runs_of(name, records).attrs["missing"]
-    # a run of another number of iterations stands in for the planned one, and is marked so
-    first = [
-        run["command"]
-        for run in missing
-        if run["seed"] == TRIAL_SEEDS[0] and (run["method"], run["body"], run["seed"]) not in there
-    ]
-    assert not first, f"{name} lacks the first trial of {len(first)} cells: {'; '.join(first)}"
 
 
 @needs_demonstrations

@@ -391,7 +391,7 @@ def test_load_takes_what_the_constructor_takes(method: type, tmp_path) -> None:
         (dict(gradient_penalty=-1.0), "gradient_penalty must be a finite number from 0, not -1"),
         (dict(disc_hidden=(16, 16)), "networks"),
         (dict(transform="mlp"), "networks"),
-        (dict(demonstration=DEMOS), "argument of SILEM.load 'demonstation'.*demonstrations"),
+        (dict(demos=DEMOS), "argument of SILEM.load 'demos'.*demonstrations"),
         (dict(normalize_observations=False), "argument of SILEM.load"),
     ],
 )
