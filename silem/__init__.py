@@ -27,43 +27,28 @@ if TYPE_CHECKING:
     from silem.util.errors import SilemError
 
 __all__ = [
-    "PPO",
-    "SILEM",
-    "TPIL",
-    "Demonstrations",
-    "GAIfO",
-    "RunConfig",
-    "RunRecord",
-    "SilemError",
-    "bodies",
-    "evaluate",
-    "load_policy",
-    "make_vec",
-    "run",
-    "settings",
-]
+    "PPO", "SILEM", "TPIL", "Demonstrations", "GAIfO", "RunConfig", "RunRecord", "SilemError",
+    "bodies", "evaluate", "load_policy", "make_vec", "run", "settings",
+]  # fmt: skip
 __version__ = "0.1.0"
 
 _HOMES = {
-    "PPO": "silem.algorithms",
-    "SILEM": "silem.algorithms",
-    "TPIL": "silem.algorithms",
-    "GAIfO": "silem.algorithms",
-    "load_policy": "silem.algorithms",
-    "Demonstrations": "silem.motion.demonstrations",
-    "RunConfig": "silem.study.config",
-    "RunRecord": "silem.study.record",
-    "SilemError": "silem.util.errors",
-    "evaluate": "silem.study.evaluate",
-    "make_vec": "silem.envs",
-    "run": "silem.study.runs",
-    "settings": "silem.study.training",
+    "silem.algorithms": ("PPO", "SILEM", "TPIL", "GAIfO", "load_policy"),
+    "silem.envs": ("make_vec",),
+    "silem.motion.demonstrations": ("Demonstrations",),
+    "silem.study.config": ("RunConfig",),
+    "silem.study.evaluate": ("evaluate",),
+    "silem.study.record": ("RunRecord",),
+    "silem.study.runs": ("run",),
+    "silem.study.training": ("settings",),
+    "silem.util.errors": ("SilemError",),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+    for home, offered in _HOMES.items():
+        if name in offered:
+            return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -20,9 +19,8 @@ from silem import bodies
 from silem.bodies import own
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
-from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RECORD, RunRecord
-from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters
+from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose, clipped
 
@@ -58,9 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         141 where nobody reads the output any more.
     """
     try:
-        with sigterm_as_interrupt():
+        with runs.sigterm_as_interrupt():
             try:
                 options = parser().parse_args(arguments)
+                if options.with_input:
+                    runs.stop_with_input()
                 for module in options.modules:
                     own.load(module)
                 options.command(options)
@@ -70,11 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _end(BAD_REQUEST, str(error))
     except KeyboardInterrupt as interrupt:
         return _end(INTERRUPTED, str(interrupt) or "stopped")
-    except BrokenPipeError:
-        _close_output()
-        return CLOSED_PIPE
     except OSError as error:
-        _close_output()
+        # Python flushes once more when it exits, and would complain then.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return CLOSED_PIPE
         named = f"{error.filename}: " if error.filename else ""
         return _end(FAILED, f"{named}{error.strerror or error}")
     return OK
@@ -88,10 +88,7 @@ def _end(code: int, message: str) -> int:
     return code
 
 
-def _close_output() -> None:
-    # Python flushes once more when it exits, and would complain then.
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, sys.stdout.fileno())
+# ---------------------------------------------------------------- what can be said
 
 
 class _Parser(argparse.ArgumentParser):
@@ -109,118 +106,92 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action="version", version=f"silem {silem.__version__}")
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
+    trial, count = _whole(0, 2**31 - 1), _whole(1)
 
-    def add(
-        name: str, execute: Callable[[argparse.Namespace], None], text: str, *, long: bool
-    ) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=text, description=text)
-        command.add_argument(
-            "--import", dest="modules", action="append", default=[], metavar="MODULE",
-            help="load a Python module that registers bodies of your own",
-        )  # fmt: skip
-        if long:
-            command.add_argument("--quiet", action="store_true", help="no progress bar")
-        command.set_defaults(command=execute)
-        return command
+    def command(execute: Callable[[argparse.Namespace], None]) -> Callable[..., Any]:
+        """Add a command, named and described as its function is, and return what adds options."""
+        text = (execute.__doc__ or "").rstrip(".")
+        text = text[:1].lower() + text[1:]
+        added = commands.add_parser(execute.__name__.strip("_"), help=text, description=text)
+        added.set_defaults(command=execute)
+        add = added.add_argument
+        load = "load a Python module that registers bodies of your own"
+        add("--import", dest="modules", action="append", default=[], metavar="MODULE", help=load)
+        add("--quiet", action="store_true", help="no progress bar")
+        add("--with-input", action="store_true", help="stop when the standard input ends")
+        return add
 
-    def add_budget(command: argparse.ArgumentParser, default: str | None) -> None:
-        shown = default or "tiny"
-        command.add_argument(
-            "--budget", default=default, help=f"{', '.join(BUDGETS)} (default: {shown})"
-        )
-        command.add_argument(
-            "--iterations", type=_whole(1), metavar="N", help="the budget with N iterations instead"
-        )
+    def add_budget(add: Callable[..., Any], default: str | None) -> None:
+        names = f"{', '.join(BUDGETS)} (default: {default or 'tiny'})"
+        add("--budget", default=default, help=names)
+        add("--iterations", type=count, metavar="N", help="the budget with N iterations instead")
 
-    def add_cell(command: argparse.ArgumentParser) -> None:
-        command.add_argument(
-            "--body", "--env", metavar="NAME",
-            help="the learner's body (see `bodies`), or the id of any Gymnasium environment",
-        )  # fmt: skip
-        command.add_argument("--method", help=", ".join(METHODS))
-        command.add_argument(
-            "--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file"
-        )
-        add_budget(command, None)
-        command.add_argument("--seed", type=_whole(0, 2**31 - 1), help="default: 0")
-        command.add_argument("--study", help="default: the body's family")
-        command.add_argument(
-            "--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter"
-        )
-        command.add_argument(
-            "--config", type=Path, help="a JSON configuration instead of all these"
-        )
+    def add_cell(add: Callable[..., Any]) -> None:
+        moved = "the learner's body (see `bodies`), or the id of any Gymnasium environment"
+        add("--body", "--env", metavar="NAME", help=moved)
+        add("--method", help=", ".join(METHODS))
+        add("--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file")
+        add_budget(add, None)
+        add("--seed", type=trial, help="default: 0")
+        add("--study", help="default: the body's family")
+        add("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
+        add("--config", type=Path, help="a JSON configuration instead of all these")
 
-    command = add("run", _run, "make one run, or go on with it", long=True)
-    add_cell(command)
-    command.add_argument("--force", action="store_true", help="start anew, even if finished")
-    command.add_argument(
-        "--wait", action="store_true", help="wait for another process at work on this run"
-    )
+    add = command(_run)
+    add_cell(add)
+    add("--force", action="store_true", help="start anew, even if finished")
+    add("--wait", action="store_true", help="wait for another process at work on this run")
 
-    command = add("campaign", _campaign, "make all runs of a study that are missing", long=True)
-    command.add_argument("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(command, "book")
-    command.add_argument(
-        "--trials", type=_whole(1), help="per cell; default: as many as budget and study have"
-    )
-    command.add_argument("--workers", type=_whole(1, 1024), default=2, help="default: %(default)s")
-    command.add_argument("--body", nargs="+", help="only these learners' bodies")
-    command.add_argument("--method", nargs="+", help="only these methods")
+    add = command(_campaign)
+    add("--study", default="halfcheetah", help="default: %(default)s")
+    add_budget(add, "book")
+    add("--trials", type=count, help="per cell; default: as many as budget and study have")
+    add("--workers", type=_whole(1, 1024), default=2, help="default: %(default)s")
+    add("--body", nargs="+", help="only these learners' bodies")
+    add("--method", nargs="+", help="only these methods")
 
-    command = add("status", _status, "what of a study is finished, running, missing", long=False)
-    command.add_argument("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(command, "book")
+    add = command(_status)
+    add("--study", default="halfcheetah", help="default: %(default)s")
+    add_budget(add, "book")
 
-    command = add("show", _show, "every value of a run, and where it comes from", long=False)
-    command.add_argument("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
-    add_cell(command)
+    add = command(_show)
+    add("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
+    add_cell(add)
 
-    command = add("evaluate", _evaluate, "evaluate a finished run's policy anew", long=True)
-    command.add_argument("run_id", metavar="RUN_ID")
-    command.add_argument("--episodes", type=_whole(1), default=10, help="default: %(default)s")
+    add = command(_evaluate)
+    add("run_id", metavar="RUN_ID")
+    add("--episodes", type=count, default=10, help="default: %(default)s")
 
-    command = add("demonstrations", _demonstrations, "record an expert's demonstrations", long=True)
-    command.add_argument("--body", help="record its best expert, at --budget")
-    command.add_argument("--budget", default="book", help="default: %(default)s")
-    command.add_argument(
-        "--trial", type=_whole(0, 2**31 - 1), help="that trial's expert instead of the best"
-    )
-    command.add_argument("--run", metavar="RUN_ID", help="record this run instead")
-    command.add_argument("--trajectories", type=_whole(1), default=20, help="default: %(default)s")
-    command.add_argument("--force", action="store_true", help="replace another expert's")
+    add = command(_demonstrations)
+    add("--body", help="record its best expert, at --budget")
+    add("--budget", default="book", help="default: %(default)s")
+    add("--trial", type=trial, help="that trial's expert instead of the best")
+    add("--run", metavar="RUN_ID", help="record this run instead")
+    add("--trajectories", type=count, default=20, help="default: %(default)s")
+    add("--force", action="store_true", help="replace another expert's")
 
-    command = add("render", _render, "film a finished run's policy", long=True)
-    command.add_argument("run_id", metavar="RUN_ID")
-    command.add_argument(
-        "--out", type=_film, required=True, help=f"the file to write ({', '.join(FILM_ENDINGS)})"
-    )
-    command.add_argument(
-        "--seconds", type=_seconds, default=6.0,
-        help=f"up to {LONGEST_FILM_S:.0f}; default: %(default)s",
-    )  # fmt: skip
-    command.add_argument("--seed", type=_whole(0, 2**31 - 1), default=0)
+    add = command(_render)
+    add("run_id", metavar="RUN_ID")
+    endings = ", ".join(FILM_ENDINGS)
+    add("--out", type=_film, required=True, help=f"the file to write ({endings})")
+    longest = f"up to {LONGEST_FILM_S:.0f}; default: %(default)s"
+    add("--seconds", type=_seconds, default=6.0, help=longest)
+    add("--seed", type=trial, default=0)
 
-    command = add("verify", _verify, "check records, and evaluate policies anew", long=False)
-    command.add_argument("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
-    command.add_argument(
-        "--episodes", type=_whole(0), default=verify.N_EPISODES,
-        help="of each policy (default: %(default)s)",
-    )  # fmt: skip
+    add = command(_verify)
+    add("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
+    of_each = "of each policy (default: %(default)s)"
+    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=of_each)
 
-    add("bodies", _bodies, "list the bodies", long=False)
+    command(_bodies)
 
-    about = "make the human's demonstrations, and retarget them, from CMU's or your clips"
-    command = add("mocap", _mocap, about, long=True)
-    command.add_argument("--asf", type=Path, help="the skeleton of a clip of your own")
-    command.add_argument("--amc", type=Path, help="the clip")
-    command.add_argument("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
-    command.add_argument("--name", help="what --demonstrations will find it by")
-    command.add_argument("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
+    add = command(_mocap)
+    add("--asf", type=Path, help="the skeleton of a clip of your own")
+    add("--amc", type=Path, help="the clip")
+    add("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
+    add("--name", help="what --demonstrations will find it by")
+    add("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
     return whole
-
-
-# ---------------------------------------------------------------- what options say
 
 
 def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
@@ -230,35 +201,30 @@ def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
         digits = text.lstrip("0") or text[-1:]
         whole = text.isascii() and text.isdecimal() and len(digits) <= len(str(highest))
         if not (whole and lowest <= int(digits) <= highest):
-            raise argparse.ArgumentTypeError(
-                f"{_short(text)} is no whole number from {lowest} to {highest}"
-            )
+            raise _refused(text, f"is no whole number from {lowest} to {highest}")
         return int(digits)
 
     return convert
 
 
 def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = float(text) if text.replace(".", "", 1).isdecimal() else 0.0
     if not 0 < value <= LONGEST_FILM_S:
-        raise argparse.ArgumentTypeError(
-            f"{_short(text)} is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}"
-        )
+        raise _refused(text, f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}")
     return value
 
 
 def _film(text: str) -> Path:
     path = Path(text)
     if path.suffix not in FILM_ENDINGS:
-        raise argparse.ArgumentTypeError(
-            f"{_short(text)} ends in none of {', '.join(FILM_ENDINGS)}"
-        )
+        raise _refused(text, f"ends in none of {', '.join(FILM_ENDINGS)}")
     if path.is_dir():
-        raise argparse.ArgumentTypeError(f"{_short(text)} is a folder")
+        raise _refused(text, "is a folder")
     return path
+
+
+def _refused(text: str, why: str) -> argparse.ArgumentTypeError:
+    return argparse.ArgumentTypeError(f"{_short(text)} {why}")
 
 
 def _short(text: str) -> str:
@@ -267,7 +233,7 @@ def _short(text: str) -> str:
 
 def budget_of(options: argparse.Namespace) -> Budget:
     """Return the budget that the options ask for."""
-    budget = BUDGETS[choose("budget", options.budget or "tiny", BUDGETS)]
+    budget = budget_named(options.budget or "tiny")
     return budget if options.iterations is None else budget.with_iterations(options.iterations)
 
 
@@ -280,23 +246,18 @@ def config_of(options: argparse.Namespace) -> RunConfig:
         return RunConfig.from_dict(files.read_json(options.config))
     if not (options.body and options.method):
         raise SilemError("--body and --method are needed, or --config")
-    method = choose("method", options.method, METHODS)
-    allowed = [*HyperParameters.names_used_by(method), *bodies.get(options.body).parameters]
+    body, method = options.body, choose("method", options.method, METHODS)
+    allowed = [*HyperParameters.used_by(method), *bodies.get(body).parameters]
     overrides = {}
     for text in options.set or ():
         name, equals, value = text.partition("=")
         if not equals:
             raise SilemError(f"--set takes NAME=VALUE, not {_short(text)}")
-        choose(f"setting of {method} on {options.body}", name, allowed)
+        choose(f"setting of {method} on {body}", name, allowed)
         overrides[name] = _value(name, value)
+    budget, seed = budget_of(options), options.seed or 0
     return RunConfig.create(
-        options.body,
-        options.method,
-        options.demonstrations,
-        budget_of(options),
-        options.seed or 0,
-        study=options.study,
-        **overrides,
+        body, method, options.demonstrations, budget, seed, options.study, **overrides
     )
 
 
@@ -307,9 +268,7 @@ def _value(name: str, text: str) -> Any:
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         if text.isidentifier():
             return text
-        raise SilemError(
-            f"--set {name}: {_short(text)} is no number, list of numbers or word"
-        ) from None
+    raise SilemError(f"--set {name}: {_short(text)} is no number, list of numbers or word")
 
 
 def _finished(run_id: str) -> RunRecord:
@@ -323,22 +282,24 @@ def _finished(run_id: str) -> RunRecord:
 
 
 def _run(options: argparse.Namespace) -> None:
+    """Make one run, or go on with it."""
     record = runs.run(config_of(options), not options.quiet, options.force, options.wait)
     _print_evaluation(record.run_id, record.evaluation)
     print(record.folder / RECORD)
 
 
 def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
-    scored = result["disc_reward_mean"]
-    print(
-        f"{run_id}: return {result['return_mean']:.0f} +- {result['return_std']:.0f} over"
-        f" {result['n_episodes']} episodes, {result['speed_m_s']:.2f} m/s,"
-        f" upright {result['upright']:.0%}"
-        + ("" if scored is None else f", discriminator reward {scored:.0f}")
-    )
+    text = f"{run_id}: return {result['return_mean']:.0f} +- {result['return_std']:.0f} over"
+    text += f" {result['n_episodes']} episodes"
+    if result["speed_m_s"] is not None:  # which not every environment says
+        text += f", {result['speed_m_s']:.2f} m/s, upright {result['upright']:.0%}"
+    if result["disc_reward_mean"] is not None:
+        text += f", discriminator reward {result['disc_reward_mean']:.0f}"
+    print(text)
 
 
 def _campaign(options: argparse.Namespace) -> None:
+    """Make all runs of a study that are missing."""
     from silem.study.campaign import campaign
 
     configs = studies.study_configs(
@@ -349,13 +310,20 @@ def _campaign(options: argparse.Namespace) -> None:
 
 
 def _status(options: argparse.Namespace) -> None:
+    """What of a study is finished, running, missing."""
     print(studies.status_table(options.study, budget_of(options)))
 
 
+def _show(options: argparse.Namespace) -> None:
+    """Every value of a run, and where it comes from."""
+    config = _finished(options.run_id).run_config() if options.run_id else config_of(options)
+    print(config.describe())
+
+
 def _evaluate(options: argparse.Namespace) -> None:
+    """Evaluate a finished run's policy anew."""
     record = _finished(options.run_id)
-    from silem.study.evaluate import evaluate
-    from silem.study.policies import load_policy
+    from silem.study.evaluate import evaluate, load_policy
     from silem.study.training import task_options
 
     config = record.run_config()
@@ -364,24 +332,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     _print_evaluation(record.run_id, result.to_dict())
 
 
-def _show(options: argparse.Namespace) -> None:
-    if options.run_id:
-        print(_finished(options.run_id).run_config().describe())
-    else:
-        print(config_of(options).describe())
-
-
-def _verify(options: argparse.Namespace) -> None:
-    verdicts = []
-    for verdict in verify.verify_all(options.name, options.episodes):
-        print(verdict, flush=True)
-        verdicts.append(verdict)
-    refuted = [verdict.name for verdict in verdicts if verdict.outcome == verify.NOT]
-    if refuted:
-        raise SilemError(f"{len(refuted)} of {len(verdicts)} are not what they say")
-
-
 def _demonstrations(options: argparse.Namespace) -> None:
+    """Record an expert's demonstrations."""
     from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
 
     if bool(options.run) == bool(options.body):
@@ -402,21 +354,39 @@ def _demonstrations(options: argparse.Namespace) -> None:
 
 
 def _render(options: argparse.Namespace) -> None:
+    """Film a finished run's policy."""
     record = _finished(options.run_id)
     try:
         from silem.report import film
     except ModuleNotFoundError as error:
         raise SilemError(f"films need {error.name}: pip install 'silem[video]'") from error
-    from silem.study.policies import load_policy
+    from silem.study.evaluate import load_policy
 
-    policy = load_policy(record)
-    learner = record.run_config().learner
+    learner, policy = record.run_config().learner, load_policy(record)
     clip = film.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
     film.write(options.out, clip)
     print(options.out)
 
 
+def _verify(options: argparse.Namespace) -> None:
+    """Check records, and evaluate policies anew."""
+    verdicts = []
+    for verdict in verify.verify_all(options.name, options.episodes):
+        print(verdict, flush=True)
+        verdicts.append(verdict)
+    refuted = sum(verdict.outcome == verify.NOT for verdict in verdicts)
+    if refuted:
+        raise SilemError(f"{refuted} of {len(verdicts)} are not what they say")
+
+
+def _bodies(options: argparse.Namespace) -> None:
+    """List the bodies."""
+    for name in bodies.names():
+        print(f"{name:9} {bodies.get(name).description}")
+
+
 def _mocap(options: argparse.Namespace) -> None:
+    """Make the human's demonstrations, and retarget them, from CMU's or your clips."""
     from silem.motion import demonstrator, retargeting
 
     progress = not options.quiet
@@ -430,8 +400,3 @@ def _mocap(options: argparse.Namespace) -> None:
         clip = options.name
     for path in (*written, *retargeting.publish_retargeted(clip, progress=progress)):
         print(path)
-
-
-def _bodies(options: argparse.Namespace) -> None:
-    for name in bodies.names():
-        print(f"{name:9} {bodies.get(name).description}")

@@ -23,23 +23,9 @@ from silem.bodies.body import (
 from silem.util.errors import SilemError, choose
 
 __all__ = [
-    "AliveRule",
-    "Body",
-    "BulletBody",
-    "Entry",
-    "GymnasiumBody",
-    "Motor",
-    "MujocoBody",
-    "Part",
-    "Skeleton",
-    "View",
-    "describe",
-    "get",
-    "names",
-    "of_kind",
-    "register",
-    "watch",
-]
+    "AliveRule", "Body", "BulletBody", "Entry", "GymnasiumBody", "Motor", "MujocoBody", "Part",
+    "Skeleton", "View", "describe", "get", "names", "of_kind", "register", "watch",
+]  # fmt: skip
 
 Kind = TypeVar("Kind", bound=Body)
 
@@ -67,9 +53,7 @@ def register(body: Body, replace: bool = False) -> Body:
 
     Registering the same body again changes nothing.
 
-    Args:
-        body: The body.
-        replace: Whether it may take the place of another one of that name.
+    With `replace` it may take the place of another one of that name.
 
     Raises:
         SilemError: If the name is another body's, or is not fit for an id or a file.
@@ -106,31 +90,23 @@ def get(name: str) -> Body:
         SilemError: If there is no such body; the message lists those there are.
     """
     if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
-        return _of_gymnasium(name)
+        import gymnasium  # which no body of the paper needs
+
+        try:
+            spec = gymnasium.spec(name)
+        except gymnasium.error.Error as error:
+            raise SilemError(f"no body, and no Gymnasium environment {name!r}: {error}") from error
+        if spec.max_episode_steps is None:
+            raise SilemError(f"{name} has no limit of steps; evaluation needs episodes that end")
+        return GymnasiumBody(name=name, max_steps=spec.max_episode_steps)
     found = _BODIES[choose("body", name, _BODIES)]
     if isinstance(found, Entry):
         found = _BODIES[name] = found.make()
     return found
 
 
-def _of_gymnasium(name: str) -> Body:
-    import gymnasium  # which no body of the paper needs
-
-    try:
-        spec = gymnasium.spec(name)
-    except gymnasium.error.Error as error:
-        raise SilemError(f"no body, and no Gymnasium environment {name!r}: {error}") from error
-    if spec.max_episode_steps is None:
-        raise SilemError(f"{name} has no limit of steps; evaluation needs episodes that end")
-    return GymnasiumBody(name=name, max_steps=spec.max_episode_steps)
-
-
 def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
-    """Return a body, given itself or its name, as one of a simulator's kind.
-
-    Args:
-        body: A body or its name.
-        kind: `BulletBody` or `MujocoBody`.
+    """Return a body, given itself or its name, as a `BulletBody` or a `MujocoBody`.
 
     Raises:
         SilemError: If there is no such body, or another simulator steps it.
@@ -155,12 +131,6 @@ def names(family: str | None = None) -> list[str]:
 
 def describe(body: Body | str) -> dict[str, Any]:
     """Return a body's lengths, masses, joints and actuators, as its simulator has them.
-
-    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
-    the masses are read from a loaded body; MuJoCo's from the compiled model.
-
-    Args:
-        body: A body or its name.
 
     Returns:
         `name`, `family`, `description`; `lengths_m`: each capsule's length between the centres

@@ -43,27 +43,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from silem.bodies.body import Motor, MujocoBody, Skeleton
-from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common
+from silem.bodies.body import MujocoBody, Skeleton
+from silem.bodies.humanoid import FALL_HEAD_M, STANDING_HEAD_M, common, placed
 from silem.util.errors import SilemError
 
-SKELETON = Skeleton(
-    torso="utorso",
-    head="head",
-    left_shoulder="l_scap",
-    left_elbow="l_larm",
-    left_hand="l_hand",
-    right_shoulder="r_scap",
-    right_elbow="r_larm",
-    right_hand="r_hand",
-    left_hip="l_uleg",
-    left_knee="l_lleg",
-    left_foot="l_foot",
-    right_hip="r_uleg",
-    right_knee="r_lleg",
-    right_foot="r_foot",
+_LEG = {"hip": "uleg", "knee": "lleg", "foot": "foot"}
+SKELETON = Skeleton.of_sides(
+    "utorso", "head", "l_", "r_", shoulder="scap", elbow="larm", hand="hand", **_LEG
 )
-
 _HUMANOID_HEAD_M = 1.4755  # dm_control's humanoid in its zero pose, soles on the floor
 
 _ARM_RAD = {"shx": 1.35, "ely": np.pi / 2, "elx": -0.3}  # hanging, elbows bent forward a little
@@ -72,18 +59,13 @@ _FOREARM_RAD = {"l": np.pi, "r": 0.0}  # one forearm is mounted turned by pi abo
 _KNEE_RAD = 0.1
 _ANKLE_RAD = 0.05  # enough to bring the centre of mass over the soles
 
-SOURCE = Path(__file__).with_name("atlas_v4.json")
-"""The published constants of the robot; the file says whence they come."""
-
-ROOT = "pelvis"
-ANKLES = ("aky", "akx")
-"""The axes of an ankle, pitch and roll."""
-
-TIMESTEP_S = 0.005
-
+_SOURCE = Path(__file__).with_name("atlas_v4.json")  # says whence its constants come
+_ROOT = "pelvis"
+_ANKLES = ("aky", "akx")  # the axes of an ankle, pitch and roll
+_TIMESTEP_S = 0.005
 _WELDED = "arm_wry2"
 _ARMATURE_KG_M2 = 0.05
-_LIMIT_SOLREF = (2 * TIMESTEP_S, 1.0)  # the stiffest that MuJoCo advises
+_LIMIT_SOLREF = (2 * _TIMESTEP_S, 1.0)  # the stiffest that MuJoCo advises
 _CONTACT = {"solref": (0.015, 1.0), "solimp": (0.9, 0.99, 0.003, 0.5, 2.0)}  # dm_control's
 _SOLE_RADIUS_M = 0.01
 
@@ -96,31 +78,12 @@ _CORES = {  # capsules along shin and foot that keep the legs apart: ends and ra
 
 Link = dict[str, Any]
 
-_WHITE = [0.72, 0.74, 0.77, 1.0]
-_DARK = [0.20, 0.22, 0.26, 1.0]
-_STEEL = [0.40, 0.44, 0.50, 1.0]
-_BLUE = [0.16, 0.40, 0.66, 1.0]
-_ORANGE = [0.93, 0.52, 0.15, 1.0]
-
 _COLOURS = {
-    "head": _ORANGE,
-    "utorso": _WHITE,
-    "mtorso": _DARK,
-    "ltorso": _DARK,
-    "pelvis": _STEEL,
-    "clav": _STEEL,
-    "scap": _BLUE,
-    "uarm": _WHITE,
-    "larm": _BLUE,
-    "ufarm": _WHITE,
-    "lfarm": _DARK,
-    "hand": _ORANGE,
-    "uglut": _DARK,
-    "lglut": _DARK,
-    "uleg": _WHITE,
-    "lleg": _BLUE,
-    "talus": _DARK,
-    "foot": _ORANGE,
+    (0.72, 0.74, 0.77, 1.0): ("utorso", "uarm", "ufarm", "uleg"),  # white
+    (0.20, 0.22, 0.26, 1.0): ("mtorso", "ltorso", "lfarm", "uglut", "lglut", "talus"),  # dark
+    (0.40, 0.44, 0.50, 1.0): ("pelvis", "clav"),  # steel
+    (0.16, 0.40, 0.66, 1.0): ("scap", "larm", "lleg"),  # blue
+    (0.93, 0.52, 0.15, 1.0): ("head", "hand", "foot"),  # orange
 }
 
 
@@ -132,7 +95,9 @@ def body(ankle_range_rad: float = 0.1) -> MujocoBody:
     Raises:
         SilemError: If the range is not above 0 or exceeds the robot's own.
     """
-    widest = widest_ankle_range_rad()
+    joints = constants()["joints"]
+    limits = [joints[f"l_leg_{axis}"]["limit"] for axis in _ANKLES]
+    widest = min(min(-limit["lower"], limit["upper"]) for limit in limits)
     if not 0 < ankle_range_rad <= widest:
         raise SilemError(
             f"Atlas's ankles within +-{ankle_range_rad} rad; allowed: above 0, up to {widest},"
@@ -140,30 +105,20 @@ def body(ankle_range_rad: float = 0.1) -> MujocoBody:
         )
     compiled = robot(ankle_range_rad).compile()
     pose = _standing_pose(compiled, ankle_range_rad)
-    head_m = float(_place(compiled, pose).body(SKELETON.head).xpos[2])
+    head_m = float(placed(compiled, pose).body(SKELETON.head).xpos[2])
     standing_head_m = round(head_m * STANDING_HEAD_M / _HUMANOID_HEAD_M, 3)
     return MujocoBody(
         name="Atlas",
         description=f"Atlas v4 of Boston Dynamics, ankles within +-{ankle_range_rad:g} rad",
         build=functools.partial(model, float(ankle_range_rad)),
-        motors=tuple(Motor(name, float(compiled.actuator(name).gear[0])) for name in hinges()),
-        length=("length of the right arm", _arm_length_m(compiled)),
         varied=(),
-        skeleton=SKELETON,
         standing_pose=tuple(pose.tolist()),
         standing_head_m=standing_head_m,
         fall_head_m=round(head_m * FALL_HEAD_M / _HUMANOID_HEAD_M, 3),
         parameters={"ankle_range_rad": ankle_range_rad},
         variants=body,
-        **common(standing_head_m),
+        **common(compiled, SKELETON, standing_head_m),
     )
-
-
-def widest_ankle_range_rad() -> float:
-    """Return the largest +-a that lies within the robot's own limits of both ankle axes."""
-    joints = constants()["joints"]
-    limits = [joints[f"l_leg_{axis}"]["limit"] for axis in ANKLES]
-    return float(min(min(-limit["lower"], limit["upper"]) for limit in limits))
 
 
 def _standing_pose(compiled: mujoco.MjModel, ankle_range_rad: float) -> np.ndarray:
@@ -179,52 +134,23 @@ def _standing_pose(compiled: mujoco.MjModel, ankle_range_rad: float) -> np.ndarr
     pose = compiled.qpos0.copy()
     for name, angle in angles.items():
         pose[compiled.joint(name).qposadr[0]] = angle
-    ankle_height_m = _place(compiled, pose).body(SKELETON.left_foot).xpos[2]
-    pose[2] -= ankle_height_m - sole_depth_m()
+    sole = max(constants()["links"]["l_foot"]["collision"], key=_volume_m3)
+    ankle_height_m = placed(compiled, pose).body(SKELETON.left_foot).xpos[2]
+    pose[2] += sole["size"][2] / 2 - sole["xyz_m"][2] - ankle_height_m
     return pose
-
-
-def _place(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
-    data = mujoco.MjData(compiled)
-    data.qpos[:] = qpos
-    mujoco.mj_kinematics(compiled, data)
-    return data
-
-
-def _arm_length_m(compiled: mujoco.MjModel) -> float:
-    data = _place(compiled, compiled.qpos0)
-    arm = (SKELETON.right_shoulder, SKELETON.right_elbow, SKELETON.right_hand)
-    points = [data.body(link).xpos for link in arm]
-    return round(float(sum(np.linalg.norm(b - a) for a, b in itertools.pairwise(points))), 6)
 
 
 @functools.cache
 def constants() -> dict[str, Any]:
-    """Return the published constants: `links` and `joints`, each by name.
-
-    Raises:
-        SilemError: If the file is missing or is not JSON.
-    """
-    try:
-        return json.loads(SOURCE.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SilemError(f"cannot read Atlas's constants, {SOURCE}: {error}") from error
-
-
-def hinges() -> list[str]:
-    """Return the names of the 28 hinges, in the model's order."""
-    return [name for name, joint in _walk(ROOT) if not name.endswith(_WELDED)]
+    """Return the published constants: `links` and `joints`, each by name."""
+    return json.loads(_SOURCE.read_text(encoding="utf-8"))
 
 
 def model(ankle_range_rad: float) -> str:
-    """Return the MJCF text of Atlas on a floor under a sky.
-
-    Args:
-        ankle_range_rad: Both axes of both ankles turn within +- this.
-    """
+    """Return the MJCF text of Atlas on a floor, its ankles turning within +-`ankle_range_rad`."""
     spec = robot(ankle_range_rad)
-    _add_scene(spec)
-    _add_views(spec.body(ROOT))
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(name="floor", type=plane, size=[100, 100, 0.2])
     spec.compile()
     return spec.to_xml()
 
@@ -234,30 +160,21 @@ def robot(ankle_range_rad: float) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = "atlas"
     spec.compiler.degree = False
-    spec.option.timestep = TIMESTEP_S
-    pelvis = spec.worldbody.add_body(name=ROOT)
+    spec.option.timestep = _TIMESTEP_S
+    pelvis = spec.worldbody.add_body(name=_ROOT)
     pelvis.add_freejoint(name="root")
-    _fill(pelvis, ROOT, ankle_range_rad)
-    for name in hinges():
-        _add_motor(spec, name)
+    _fill(pelvis, _ROOT, ankle_range_rad)
+    for name in (joint.name for joint in spec.joints[1:]):
+        spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gear=[constants()["joints"][name]["limit"]["effort"], 0, 0, 0, 0, 0],
+            ctrlrange=[-1, 1],
+        )
     for left, right in itertools.product(_CORES, repeat=2):
         spec.add_pair(geomname1=f"l_{left}_core", geomname2=f"r_{right}_core", condim=1)
     return spec
-
-
-def sole_depth_m() -> float:
-    """Return how far a sole lies below its ankle."""
-    sole = _sole(constants()["links"]["l_foot"]["collision"])
-    return float(sole["size"][2] / 2 - sole["xyz_m"][2])
-
-
-def _walk(parent: str) -> list[tuple[str, Link]]:
-    """Return the joints below a link, depth first: the order in which the model lists them."""
-    found = []
-    for name, joint in constants()["joints"].items():
-        if joint["parent"] == parent:
-            found += [(name, joint), *_walk(joint["child"])]
-    return found
 
 
 def _fill(body: mujoco.MjsBody, name: str, ankle_range_rad: float) -> None:
@@ -273,40 +190,25 @@ def _fill(body: mujoco.MjsBody, name: str, ankle_range_rad: float) -> None:
             child = body.add_body(name=joint["child"], pos=joint["xyz_m"])
             child.quat = _quaternion(joint["rpy_rad"])
             if not joint_name.endswith(_WELDED):
-                _add_hinge(child, joint_name, joint, ankle_range_rad)
+                limit = joint["limit"]
+                span = limit["lower"], limit["upper"]
+                if joint_name.endswith(_ANKLES):
+                    span = -ankle_range_rad, ankle_range_rad
+                child.add_joint(
+                    name=joint_name,
+                    axis=joint["axis"],
+                    range=span,
+                    damping=limit["effort"] / limit["velocity"],
+                    armature=_ARMATURE_KG_M2,
+                    solref_limit=_LIMIT_SOLREF,
+                )
             _fill(child, joint["child"], ankle_range_rad)
-
-
-def _add_hinge(body: mujoco.MjsBody, name: str, joint: Link, ankle_range_rad: float) -> None:
-    limit = joint["limit"]
-    span = (limit["lower"], limit["upper"])
-    if name.endswith(ANKLES):
-        span = (-ankle_range_rad, ankle_range_rad)
-    body.add_joint(
-        name=name,
-        axis=joint["axis"],
-        range=span,
-        damping=limit["effort"] / limit["velocity"],
-        armature=_ARMATURE_KG_M2,
-        solref_limit=_LIMIT_SOLREF,
-    )
-
-
-def _add_motor(spec: mujoco.MjSpec, joint: str) -> None:
-    effort = constants()["joints"][joint]["limit"]["effort"]
-    spec.add_actuator(
-        name=joint,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gear=[effort, 0, 0, 0, 0, 0],
-        ctrlrange=[-1, 1],
-    )
 
 
 def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
     """Draw a link's shapes, and let the largest ones, or the corners of a sole, meet the floor."""
-    is_foot = name.endswith("foot")
-    rgba = _COLOURS[name.removeprefix("l_").removeprefix("r_")]
+    is_foot, part = name.endswith("foot"), name.removeprefix("l_").removeprefix("r_")
+    (rgba,) = (colour for colour, parts in _COLOURS.items() if part in parts)
     largest_m3 = max(map(_volume_m3, shapes), default=0.0)
     for shape in shapes:
         is_solid = not is_foot and _volume_m3(shape) == largest_m3
@@ -316,55 +218,45 @@ def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
         body.add_geom(
             type=kind, size=size, pos=shape["xyz_m"], quat=orientation, rgba=rgba, **contact
         )
-    if is_foot:
-        _add_sole(body, name, _sole(shapes), rgba)
-    for part, (ends, radius) in _CORES.items():
-        if name.endswith(part):
+    if is_foot:  # small spheres inside the lower corners of its box, flush with its faces
+        box = max(shapes, key=_volume_m3)  # the other one is the narrow tip of its toe
+        reach = np.array(box["size"]) / 2 - _SOLE_RADIUS_M
+        for index, (x, y) in enumerate(itertools.product((-1, 1), repeat=2)):
             body.add_geom(
-                name=f"{name}_core",
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=ends,
-                size=[radius, 0, 0],
-                group=4,  # which pictures leave out
-                **_BARE,
+                name=f"{name}_sole_{index}",
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[_SOLE_RADIUS_M, 0, 0],
+                pos=np.array(box["xyz_m"]) + reach * (x, y, -1),
+                rgba=rgba,
+                **_SOLID,
             )
-
-
-def _add_sole(body: mujoco.MjsBody, name: str, box: Link, rgba: list[float]) -> None:
-    """Add small spheres inside the lower corners of a foot's box, flush with its faces."""
-    center = np.array(box["xyz_m"])
-    reach = np.array(box["size"]) / 2 - _SOLE_RADIUS_M
-    for index, (x, y) in enumerate(itertools.product((-1, 1), repeat=2)):
+    if part in _CORES:
+        ends, radius = _CORES[part]
         body.add_geom(
-            name=f"{name}_sole_{index}",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[_SOLE_RADIUS_M, 0, 0],
-            pos=center + reach * (x, y, -1),
-            rgba=rgba,
-            **_SOLID,
+            name=f"{name}_core",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=ends,
+            size=[radius, 0, 0],
+            group=4,  # which pictures leave out
+            **_BARE,
         )
 
 
 def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float]]:
     """Return MuJoCo's type and sizes of a published shape."""
+    kind = mujoco.mjtGeom
     if shape["shape"] == "box":
-        return mujoco.mjtGeom.mjGEOM_BOX, [side / 2 for side in shape["size"]]
+        return kind.mjGEOM_BOX, [side / 2 for side in shape["size"]]
     if shape["shape"] == "cylinder":
-        return mujoco.mjtGeom.mjGEOM_CYLINDER, [shape["radius"], shape["length"] / 2, 0]
-    return mujoco.mjtGeom.mjGEOM_SPHERE, [shape["radius"], 0, 0]
-
-
-def _sole(shapes: list[Link]) -> Link:
-    """Return a foot's main box; the other one is the narrow tip of its toe."""
-    return max(shapes, key=_volume_m3)
+        return kind.mjGEOM_CYLINDER, [shape["radius"], shape["length"] / 2, 0]
+    return kind.mjGEOM_SPHERE, [shape["radius"], 0, 0]
 
 
 def _volume_m3(shape: Link) -> float:
     if shape["shape"] == "box":
         return math.prod(shape["size"])
-    if shape["shape"] == "cylinder":
-        return math.pi * shape["radius"] ** 2 * shape["length"]
-    return 4 / 3 * math.pi * shape["radius"] ** 3
+    disc = math.pi * shape["radius"] ** 2
+    return disc * (shape["length"] if shape["shape"] == "cylinder" else 4 / 3 * shape["radius"])
 
 
 def _quaternion(rpy_rad: list[float]) -> np.ndarray:
@@ -372,50 +264,3 @@ def _quaternion(rpy_rad: list[float]) -> np.ndarray:
     quaternion = np.empty(4)
     mujoco.mju_euler2Quat(quaternion, np.array(rpy_rad), "XYZ")
     return quaternion
-
-
-def _add_scene(spec: mujoco.MjSpec) -> None:
-    """Add the floor, the sky and the light settings of dm_control's humanoid."""
-    spec.stat.extent, spec.stat.center = 2.0, [0.0, 0.0, 1.0]
-    head = spec.visual.headlight
-    head.ambient, head.diffuse, head.specular = [0.4] * 3, [0.8] * 3, [0.1] * 3
-    spec.visual.map.znear = 0.01
-    spec.visual.quality.shadowsize = 2048
-    spec.add_texture(
-        name="skybox",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.4, 0.6, 0.8],
-        rgb2=[0.0, 0.0, 0.0],
-        width=800,
-        height=800,
-        mark=mujoco.mjtMark.mjMARK_RANDOM,
-        markrgb=[1.0, 1.0, 1.0],
-    )
-    spec.add_texture(
-        name="grid",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.1, 0.2, 0.3],
-        rgb2=[0.2, 0.3, 0.4],
-        width=300,
-        height=300,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.2, 0.3, 0.4],
-    )
-    grid = spec.add_material(name="grid", texrepeat=[1, 1], texuniform=True, reflectance=0.2)
-    grid.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(name="floor", type=plane, size=[100, 100, 0.2], material="grid")
-
-
-def _add_views(root: mujoco.MjsBody) -> None:
-    """Add the light and the two cameras that follow the body, as dm_control's humanoid has them."""
-    follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    root.add_light(name="top", pos=[0, 0, 2], mode=follow)
-    views = {"back": ((-3.6, 0, 1.0), (0, -1, 0)), "side": ((0, -3.6, 1.0), (1, 0, 0))}
-    for name, (position, right) in views.items():
-        camera = root.add_camera(name=name, pos=position, mode=follow)
-        camera.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
-        up = (right[1] * -0.3, right[0] * 0.3, 1)  # tilted down a little
-        camera.alt.xyaxes = (*right, *up)

@@ -16,12 +16,7 @@ Engine = Literal["bullet", "mujoco", "gymnasium"]
 
 @dataclass(frozen=True)
 class Motor:
-    """One torque motor on one hinge.
-
-    Attributes:
-        joint: Name of the hinge in the model.
-        torque_n_m: Torque at action 1, in newton metres.
-    """
+    """A torque motor on a hinge of the model; `torque_n_m` is its torque at action 1."""
 
     joint: str
     torque_n_m: float
@@ -82,14 +77,12 @@ class Body:
     Attributes:
         name: Name in the paper, for example "HC2".
         family: Bodies of one family share observation and task.
-        engine: Simulator that steps it.
         description: One sentence for tables and figure captions.
         build: Returns the model file's text (MJCF).
         motors: The actuators, in the order of the action and of the joints in the model.
         length: Name and value, in metres, of what sets the body apart in its family.
         varied: Links that have that length.
         view: How it is looked at.
-        control_step_s: Length of one control step.
         max_steps: Control steps after which an episode is cut off.
         parameters: What can be chosen of it, and its choice, by name.
         variants: Returns the body for other values of its parameters.
@@ -122,7 +115,7 @@ class Body:
         return self.variants(**{**self.parameters, **parameters})
 
     def model_xml(self) -> str:
-        """Return the model file's text."""
+        """Return the model file's text (MJCF)."""
         return self.build()
 
     @property
@@ -190,6 +183,16 @@ class Skeleton:
     axes: str = "xyz"
 
     @classmethod
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+        """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
+        sided = {
+            f"{side}_{point}": prefix + name
+            for side, prefix in (("left", left), ("right", right))
+            for point, name in limbs.items()
+        }
+        return cls(torso=torso, head=head, **sided)
+
+    @classmethod
     def points(cls) -> tuple[str, ...]:
         """Return the names of the landmarks, the torso first."""
         return tuple(entry.name for entry in fields(cls) if entry.name != "axes")
@@ -221,11 +224,7 @@ class MujocoBody(Body):
 
 @dataclass(frozen=True, kw_only=True)
 class GymnasiumBody(Body):
-    """Whatever a Gymnasium environment moves; its name is the environment's id.
-
-    It is its own family, and nothing of its model is known: g is the identity, or what the
-    environment's ``info`` supplies.
-    """
+    """Whatever a Gymnasium environment moves; its name is the environment's id."""
 
     engine: Engine = "gymnasium"
     family: str = "gymnasium"
@@ -239,11 +238,7 @@ class GymnasiumBody(Body):
 
     @property
     def action_size(self) -> int:
-        """Number of continuous actions.
-
-        Raises:
-            SilemError: The environment's actions are others.
-        """
+        """Number of continuous actions; raises SilemError where there are others."""
         import gymnasium  # which no body of the paper needs
 
         space = gymnasium.make(self.name).action_space

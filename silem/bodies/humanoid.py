@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View
+from silem.bodies.mjcf import numbers
 from silem.util.errors import SilemError
 
 if TYPE_CHECKING:
@@ -34,35 +35,31 @@ DEMONSTRATOR_SPEED_M_S = 1.6
 
 UNSCALED = {"left": 1.0, "right": 1.0}
 
-SKELETON = Skeleton(
-    torso="torso",
-    head="head",
-    left_shoulder="left_upper_arm",
-    left_elbow="left_lower_arm",
-    left_hand="left_hand",
-    right_shoulder="right_upper_arm",
-    right_elbow="right_lower_arm",
-    right_hand="right_hand",
-    left_hip="left_thigh",
-    left_knee="left_shin",
-    left_foot="left_foot",
-    right_hip="right_thigh",
-    right_knee="right_shin",
-    right_foot="right_foot",
+_ARM_LINKS = ("upper_arm", "lower_arm", "hand")
+_LIMBS = (*_ARM_LINKS, "thigh", "shin", "foot")
+_POINTS = ("shoulder", "elbow", "hand", "hip", "knee", "foot")
+SKELETON = Skeleton.of_sides(
+    "torso", "head", "left_", "right_", **dict(zip(_POINTS, _LIMBS, strict=True))
 )
 _AZIMUTH_RAD, _ELEVATION_RAD = math.radians(125), math.radians(-12)  # from the front left
-_ARM_LINKS = ("upper_arm", "lower_arm", "hand")
+_SKY = "texture[@type='skybox']"
 
 
 def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
     """Return the MJCF text of dm_control's humanoid with scaled arms.
 
     Lengths along an arm are scaled, radii are not; masses and inertias follow from the density.
-    Sensors are left out: nothing reads them, and their sites would have to be scaled too.
+    Sensors are left out: nothing reads them, and their sites would have to be scaled too. So is the
+    sky, which takes nine tenths of the time to compile.
     """
     root = _read("humanoid.xml")
-    _inline_includes(root)
-    _drop_sensors(root)
+    for index, child in reversed(list(enumerate(root))):
+        if child.tag == "include":
+            root[index : index + 1] = list(_read(child.attrib["file"]))
+    for parents, what in ((".//body", "site"), (".", "sensor"), ("asset", _SKY)):
+        for parent in root.findall(parents):
+            for found in parent.findall(what):
+                parent.remove(found)
     for side, factor in (("left", left_arm), ("right", right_arm)):
         if factor <= 0:
             raise SilemError(f"{side} arm scaled by {factor}; allowed: factors above 0")
@@ -72,34 +69,54 @@ def model(left_arm: float = 1.0, right_arm: float = 1.0) -> str:
 
 
 def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
-    """Return the registry entry of a humanoid.
+    """Return the registry entry of a humanoid, with factors on its "left" and "right" arm."""
+    import mujoco
 
-    Args:
-        name: Name of the body.
-        description: One sentence about it.
-        arms: Factor on the length of its "left" and its "right" arm.
-    """
     build = partial(model, arms["left"], arms["right"])
+    compiled = mujoco.MjModel.from_xml_string(build())
     scaled = [side for side, factor in arms.items() if factor != 1.0]
+    pose = compiled.qpos0.copy()
+    data = placed(compiled, pose)
+    feet = [compiled.body(index).name.endswith("_foot") for index in compiled.geom_bodyid]
+    radius, half_length = compiled.geom_size[feet, :2].T
+    lowest = data.geom_xpos[feet, 2] - abs(data.geom_xmat[feet, 8]) * half_length - radius
+    pose[2] -= lowest.min()  # of the feet's capsules
     return MujocoBody(
         name=name,
         description=description,
         build=build,
         varied=tuple(f"{side}_{link}" for side in scaled for link in _ARM_LINKS),
-        skeleton=SKELETON,
+        standing_pose=tuple(pose.tolist()),
         standing_head_m=STANDING_HEAD_M,
         fall_head_m=FALL_HEAD_M,
-        **common(STANDING_HEAD_M),
-        **_measured(build()),
+        **common(compiled, SKELETON, STANDING_HEAD_M),
     )
 
 
-def common(standing_head_m: float) -> dict[str, Any]:
-    """Return what all humanoids share: family, target of their task, and how they are seen."""
+def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+    """Return a model's data in a pose."""
+    import mujoco
+
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(compiled, data)
+    return data
+
+
+def common(compiled: mujoco.MjModel, skeleton: Skeleton, standing_head_m: float) -> dict[str, Any]:
+    """Return what is the same for all humanoids, or found in the same way in their models."""
     across = math.cos(_ELEVATION_RAD)
     direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))
+    joints = [compiled.joint(index).name for index in compiled.actuator_trnid[:, 0]]
+    data = placed(compiled, compiled.qpos0)
+    arm = (skeleton.right_shoulder, skeleton.right_elbow, skeleton.right_hand)
+    points = [data.body(link).xpos for link in arm]
+    length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(points))
     return {
         "family": FAMILY,
+        "motors": tuple(map(Motor, joints, compiled.actuator_gear[:, 0].tolist())),
+        "length": ("length of the right arm", round(length_m, 6)),
+        "skeleton": skeleton,
         "target_speed_m_s": DEMONSTRATOR_SPEED_M_S,
         "view": View(
             direction=(*direction, math.sin(_ELEVATION_RAD)),
@@ -109,77 +126,22 @@ def common(standing_head_m: float) -> dict[str, Any]:
     }
 
 
-def _measured(xml: str) -> dict[str, Any]:
-    """Read off the compiled model what its registry entry needs."""
-    import mujoco
-
-    root = ElementTree.fromstring(xml)
-    for assets in root.findall("asset"):
-        for sky in assets.findall("texture[@type='skybox']"):
-            assets.remove(sky)  # which takes nine tenths of the time to compile
-    compiled = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-    data = mujoco.MjData(compiled)
-    mujoco.mj_kinematics(compiled, data)
-    joints = [compiled.joint(index).name for index in compiled.actuator_trnid[:, 0]]
-    pose = compiled.qpos0.copy()
-    pose[2] -= _lowest_point_m(compiled, data)
-    arm = [data.body(f"right_{link}").xpos for link in _ARM_LINKS]
-    length_m = sum(float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(arm))
-    return {
-        "motors": tuple(map(Motor, joints, compiled.actuator_gear[:, 0].tolist())),
-        "length": ("length of the right arm", round(length_m, 6)),
-        "standing_pose": tuple(pose.tolist()),
-    }
-
-
-def _lowest_point_m(compiled: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Return the height of the lowest point of the feet's capsules."""
-    heights = []
-    for index in range(compiled.ngeom):
-        if compiled.body(compiled.geom_bodyid[index]).name.endswith("_foot"):
-            radius, half_length = compiled.geom_size[index, :2]
-            drop = abs(data.geom_xmat[index, 8]) * half_length
-            heights.append(data.geom_xpos[index, 2] - drop - radius)
-    return float(min(heights))
-
-
 def _read(name: str) -> ElementTree.Element:
     """Return one of the suite's files, read without loading every task of it."""
     path = files("dm_control") / "suite" / name
     return ElementTree.fromstring(path.read_text(encoding="utf-8"))
 
 
-def _inline_includes(root: ElementTree.Element) -> None:
-    """Put the content of the files that dm_control's model includes in their place."""
-    for index, child in reversed(list(enumerate(root))):
-        if child.tag == "include":
-            root[index : index + 1] = list(_read(child.attrib["file"]))
-
-
-def _drop_sensors(root: ElementTree.Element) -> None:
-    """Leave out the sensors and the sites that carry them."""
-    for sensors in root.findall("sensor"):
-        root.remove(sensors)
-    for link in root.iter("body"):
-        for site in link.findall("site"):
-            link.remove(site)
-
-
 def _scale_arm(root: ElementTree.Element, side: str, factor: float) -> None:
     """Scale an arm from the shoulder on."""
-    links = {link.get("name"): link for link in root.iter("body")}
     for name in _ARM_LINKS:
-        link = links[f"{side}_{name}"]
+        (link,) = root.findall(f".//body[@name='{side}_{name}']")
+        scaled = [(geom, "fromto") for geom in link.findall("geom[@fromto]")]
         if name != "upper_arm":  # whose place is the shoulder
-            _scale(link, "pos", factor)
-        for geom in link.findall("geom"):
-            if "fromto" in geom.attrib:
-                _scale(geom, "fromto", factor)
-
-
-def _scale(element: ElementTree.Element, attribute: str, factor: float) -> None:
-    values = [float(value) * factor for value in element.attrib[attribute].split()]
-    element.set(attribute, " ".join(f"{value:.6g}" for value in values))
+            scaled.append((link, "pos"))
+        for element, attribute in scaled:
+            values = [float(value) * factor for value in element.attrib[attribute].split()]
+            element.set(attribute, numbers(*values))
 
 
 def _atlas() -> MujocoBody:

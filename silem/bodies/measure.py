@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
+import re
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import numpy as np
 import pybullet
 
 from silem.bodies.body import Body, BulletBody
-from silem.bodies.mjcf import shapes
 from silem.util.errors import SilemError, reason
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
@@ -27,67 +24,85 @@ _ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def describe(body: Body) -> dict[str, Any]:
-    """Return what `silem.bodies.describe` does."""
-    measured = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(body)
+    """Return what `silem.bodies.describe` does.
+
+    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
+    they are read from a loaded body.
+    """
+    model = spec(body).compile()
+    masses, joints = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(model)
+    masses = {name: mass for name, mass in masses.items() if mass > 0}
     return {
         "name": body.name,
         "family": body.family,
         "description": body.description,
-        "lengths_m": measured["lengths_m"],
-        "masses_kg": measured["masses_kg"],
-        "total_mass_kg": sum(measured["masses_kg"].values()),
-        "joints": measured["joints"],
-        "root_joints": body.root_joints if isinstance(body, BulletBody) else (),
+        "lengths_m": _lengths_m(model),
+        "masses_kg": masses,
+        "total_mass_kg": sum(masses.values()),
+        "joints": joints,
+        "root_joints": getattr(body, "root_joints", ()),
         "actuators": {motor.joint: motor.torque_n_m for motor in body.motors},
     }
 
 
-def _in_bullet(body: BulletBody) -> dict[str, dict[str, Any]]:
+def spec(body: Body) -> mujoco.MjSpec:
+    """Return a body's model as MuJoCo reads it; one that floats has a free joint.
+
+    PyBullet's files lack what MuJoCo asks for beside a mass, and a root that floats has no joint.
+
+    Raises:
+        SilemError: If MuJoCo rejects the model.
+    """
+    is_bullet = isinstance(body, BulletBody)
+    xml = re.sub(r"<inertial\b[^>]*/>", "", body.model_xml()) if is_bullet else body.model_xml()
+    try:
+        read = mujoco.MjSpec.from_string(xml)
+    except ValueError as error:
+        raise SilemError(f"MuJoCo cannot load body {body.name!r}: {error}") from error
+    if isinstance(body, BulletBody):
+        read.compiler.settotalmass = -1  # which PyBullet ignores
+        if not body.root_joints:
+            read.body(body.root).add_freejoint()
+    return read
+
+
+def _lengths_m(model: mujoco.MjModel) -> dict[str, float]:
+    """Return the length of each named capsule and cylinder, and the radius of each sphere."""
+    lengths = {}
+    for index, (kind, size) in enumerate(
+        zip(model.geom_type.tolist(), model.geom_size.tolist(), strict=True)
+    ):
+        if (name := model.geom(index).name) and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[name] = round(2 * size[1] if kind in _ROUND else size[0], 6)
+    return lengths
+
+
+_Measured = tuple[dict[str, float], dict[str, tuple[float, float] | None]]  # masses, limits
+
+
+def _in_bullet(body: BulletBody) -> _Measured:
     client = pybullet.connect(pybullet.DIRECT)
     try:
         robot = load(body, client)
-        return {
-            "lengths_m": {s.name: round(s.length_m or s.radius_m, 6) for s in shapes(body)},
-            "masses_kg": _masses(robot, client),
-            "joints": _joints(body, robot, client),
+        masses = {
+            name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
+            for name, link in link_names(robot, client).items()
         }
+        limits = {info[1].decode(): info[8:10] for info in joint_infos(robot, client)}
     finally:
         pybullet.disconnect(physicsClientId=client)
-
-
-def _masses(robot: int, client: int) -> dict[str, float]:
-    links = link_names(robot, client).items()
-    masses = {
-        name: pybullet.getDynamicsInfo(robot, link, physicsClientId=client)[0]
-        for name, link in links
-    }
-    return {name: mass for name, mass in masses.items() if mass > 0}
-
-
-def _joints(body: Body, robot: int, client: int) -> dict[str, tuple[float, float]]:
     actuated = {motor.joint for motor in body.motors}
-    infos = joint_infos(robot, client)
-    return {info[1].decode(): (info[8], info[9]) for info in infos if info[1].decode() in actuated}
+    return masses, {name: limit for name, limit in limits.items() if name in actuated}
 
 
-def _in_mujoco(body: Body) -> dict[str, dict[str, Any]]:
-    model = mujoco.MjModel.from_xml_string(body.model_xml())
-    lengths = {}
-    for index, (kind, size) in enumerate(
-        zip(model.geom_type.tolist(), model.geom_size, strict=True)
-    ):
-        if (name := model.geom(index).name) and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
-            lengths[name] = round(float(2 * size[1] if kind in _ROUND else size[0]), 6)
-    links = [model.body(index) for index in range(1, model.nbody)]
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+def _in_mujoco(model: mujoco.MjModel) -> _Measured:
     limits = {
         model.joint(index).name: tuple(model.jnt_range[index].tolist())
         if model.jnt_limited[index]
         else None
-        for index in hinges
+        for index in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
     }
-    masses = {link.name: float(link.mass[0]) for link in links if link.mass[0] > 0}
-    return {"lengths_m": lengths, "masses_kg": masses, "joints": limits}
+    return {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}, limits
 
 
 def load(body: BulletBody, client: int) -> int:
@@ -96,11 +111,15 @@ def load(body: BulletBody, client: int) -> int:
     Raises:
         SilemError: If PyBullet rejects the model.
     """
-    with _model_file(body) as path:
-        try:
-            (robot,) = pybullet.loadMJCF(path, flags=_FLAGS, physicsClientId=client)
-        except (pybullet.error, ValueError) as error:
-            raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
+    try:  # a file is the only form in which PyBullet loads it
+        with tempfile.TemporaryDirectory(prefix="silem_") as folder:
+            path = Path(folder) / f"{body.name}.xml"
+            path.write_bytes(body.model_xml().encode())
+            (robot,) = pybullet.loadMJCF(str(path), flags=_FLAGS, physicsClientId=client)
+    except OSError as error:
+        raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
+    except (pybullet.error, ValueError) as error:
+        raise SilemError(f"PyBullet cannot load body {body.name!r}: {error}") from error
     return int(robot)
 
 
@@ -118,20 +137,3 @@ def link_names(robot: int, client: int) -> dict[str, int]:
     base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
     links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
     return {base: BASE} | links
-
-
-@contextlib.contextmanager
-def _model_file(body: BulletBody) -> Iterator[str]:
-    """Give the body's model as a file, the only form in which PyBullet loads it."""
-    path = None
-    try:
-        try:
-            handle, path = tempfile.mkstemp(prefix=f"{body.name}_", suffix=".xml")
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(body.model_xml())
-        except OSError as error:
-            raise SilemError(f"no temporary file for {body.name}: {reason(error)}") from error
-        yield path
-    finally:
-        if path is not None:
-            Path(path).unlink(missing_ok=True)

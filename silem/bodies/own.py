@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import importlib
 import importlib.metadata
 import os
@@ -12,8 +14,8 @@ from silem import bodies
 from silem.bodies import Body, Entry
 from silem.util.errors import SilemError
 
-_MODULE_OF: dict[str, str] = {}
-_loading: str | None = None
+_OWN: dict[str, tuple[Body | Entry, str]] = {}  # and the module whose `load` registered each
+_loading = ""
 
 
 def load(module: str) -> None:
@@ -31,20 +33,34 @@ def load(module: str) -> None:
     except Exception as error:  # a stranger's module may raise anything
         raise SilemError(f"cannot import {module}: {type(error).__name__}: {error}") from error
     finally:
-        _loading = None
+        _loading = ""
 
 
 def _note(body: Body | Entry) -> None:
-    if _loading is not None:
-        _MODULE_OF[body.name] = _loading
+    _OWN[body.name] = body, _loading
 
 
 bodies.watch(_note)
+_OWN.clear()  # those are the package's
 
 
-def module_of(name: str) -> str | None:
-    """Return the module whose `load` registered a body, or None where it was not loaded so."""
-    return _MODULE_OF.get(name)
+def identity(name: str) -> dict[str, str] | None:
+    """Return what tells a body of one's own from others of its name: its module, and a hash of it.
+
+    None for the package's bodies and for Gymnasium's environments. The module is "" where no
+    `load` registered the body.
+    """
+    known, module = _OWN.get(name, (None, ""))
+    if known is None or name not in bodies.names() or bodies.get(name) is not known:
+        return None
+    body = dataclasses.replace(bodies.get(name), description="")
+    digest = hashlib.sha256(f"{body!r}\n{body.model_xml()}".encode()).hexdigest()
+    return {"module": module, "sha256": digest}
+
+
+def module_of(name: str) -> str:
+    """Return the module whose `load` registered a body, or ""."""
+    return (identity(name) or {}).get("module", "")
 
 
 def load_installed() -> None:

@@ -5,6 +5,7 @@ The simulators, and PyTorch with stable-baselines3, are imported with the first 
 
 from __future__ import annotations
 
+import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
@@ -12,46 +13,31 @@ import gymnasium
 
 from silem import bodies
 from silem.bodies import Body, Entry
+from silem.util.errors import SilemError
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
     from silem.envs.base import BatchedEnv, SingleEnv
-    from silem.envs.bullet.camera import Camera
-    from silem.envs.bullet.single_env import BulletEnv
-    from silem.envs.bullet.vec_env import BulletVecEnv
-    from silem.envs.mujoco.camera import MujocoCamera
-    from silem.envs.mujoco.single_env import MujocoEnv
-    from silem.envs.mujoco.vec_env import MujocoVecEnv
+    from silem.envs.bullet import BulletEnv, BulletVecEnv
+    from silem.envs.camera import Camera
+    from silem.envs.mujoco import MujocoEnv, MujocoVecEnv
 
 _MODULES = {
     "BatchedEnv": "silem.envs.base",
-    "BulletEnv": "silem.envs.bullet.single_env",
-    "BulletVecEnv": "silem.envs.bullet.vec_env",
-    "Camera": "silem.envs.bullet.camera",
-    "MujocoCamera": "silem.envs.mujoco.camera",
-    "MujocoEnv": "silem.envs.mujoco.single_env",
-    "MujocoVecEnv": "silem.envs.mujoco.vec_env",
+    "BulletEnv": "silem.envs.bullet",
+    "BulletVecEnv": "silem.envs.bullet",
+    "Camera": "silem.envs.camera",
+    "MujocoEnv": "silem.envs.mujoco",
+    "MujocoVecEnv": "silem.envs.mujoco",
     "SingleEnv": "silem.envs.base",
 }
-_BATCHES = {
-    "bullet": ("silem.envs.bullet.vec_env", "BulletVecEnv"),
-    "mujoco": ("silem.envs.mujoco.vec_env", "MujocoVecEnv"),
-    "gymnasium": ("silem.envs.any", "make_batch"),
-}
-_SINGLE = {"bullet": "BulletEnv", "mujoco": "MujocoEnv"}
+_NAMES = {"bullet": "Bullet", "mujoco": "Mujoco"}  # of their classes, Env and VecEnv
 
 __all__ = [
-    "BatchedEnv",
-    "BulletEnv",
-    "BulletVecEnv",
-    "Camera",
-    "MujocoCamera",
-    "MujocoEnv",
-    "MujocoVecEnv",
-    "SingleEnv",
+    "BatchedEnv", "BulletEnv", "BulletVecEnv", "Camera", "MujocoEnv", "MujocoVecEnv", "SingleEnv",
     "make_vec",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -70,23 +56,42 @@ def make_vec(
         n_envs: E.
         seed: Root of all environments' random streams.
         max_steps: Steps after which an episode is cut off; None means the body's.
-        **options: What the body's simulator takes beside: see `MujocoVecEnv`.
+        **options: What a humanoid's takes beside (see `MujocoVecEnv`), or a Gymnasium environment.
 
     Raises:
         SilemError: If an argument is not allowed; the message says what is.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    module, name = _BATCHES[found.engine]
-    make = getattr(importlib.import_module(module), name)
-    env: VecEnv = make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
+    make = _batch_of_gymnasium
+    if found.engine in _NAMES:
+        make = __getattr__(f"{_NAMES[found.engine]}VecEnv")
+    return make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
+
+
+def _batch_of_gymnasium(
+    body: Body, n_envs: int, seed: int, max_steps: int | None, **options: Any
+) -> VecEnv:
+    """Make E environments of a Gymnasium id: stable-baselines3's own batch, one after another."""
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    if n_envs < 1:
+        raise SilemError(f"n_envs is {n_envs!r}; allowed: whole numbers from 1")
+    limit = body.max_steps if max_steps is None else max_steps
+    make = functools.partial(gymnasium.make, body.name, max_episode_steps=limit, **options)
+    try:
+        env = DummyVecEnv([lambda: Monitor(make()) for _ in range(n_envs)])
+    except (gymnasium.error.Error, TypeError, ImportError) as error:
+        raise SilemError(f"{body.name} cannot be made: {error}") from error
+    env.seed(seed)
     return env
 
 
 def _register_id(body: Body | Entry) -> None:
     """Give a body its Gymnasium id, `silem/<name>-v0`, unless it is Gymnasium's own."""
-    if body.engine not in _SINGLE:
+    if body.engine not in _NAMES:
         return
-    name = _SINGLE[body.engine]
+    name = f"{_NAMES[body.engine]}Env"
     key = f"silem/{body.name}-v0"
     gymnasium.registry.pop(key, None)  # a body's that this one replaces
     gymnasium.register(

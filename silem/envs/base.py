@@ -1,11 +1,14 @@
-"""What all environments share, single and batched: arguments, seeds, pictures, what is refused."""
+"""What all environments share, single and batched: arguments, seeds, pictures, what is refused.
+
+A simulator's environments say how an episode begins and goes on.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from typing import Any, Protocol, SupportsFloat
+from collections.abc import Callable, Sequence
+from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -13,7 +16,9 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from silem import bodies
 from silem.bodies import Body
+from silem.envs.camera import Camera
 from silem.util.errors import SilemError, choose
 
 RENDER_MODES = ("rgb_array",)
@@ -36,16 +41,6 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-class Pictures(Protocol):
-    """A camera."""
-
-    def picture(self) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8."""
-
-    def close(self) -> None:
-        """Give back what the camera holds."""
-
-
 class Filmed:
     """A body's environment, with a camera that is set up when the first picture is wanted.
 
@@ -60,37 +55,44 @@ class Filmed:
     render_mode: str | None
     metadata: dict[str, Any]
     picture_size: tuple[int, int] = (640, 480)
-    _camera: Pictures | None = None
+    _kind: type[Body]
+    _space: Callable[[Any], gymnasium.spaces.Box]  # of a body's observations
+    _is_reset: bool = False  # whether there is an episode to go on with
+    _camera: Camera | None = None
 
-    def _set_up(self, body: Body, render_mode: str | None) -> None:
-        self.body = body
+    def _set_up(
+        self, body: Body | str, render_mode: str | None
+    ) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+        """Take the body and return the spaces of its observations and actions."""
+        self.body = bodies.of_kind(body, self._kind)
         if render_mode is not None:
             choose("render mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
-        fps = round(1 / body.control_step_s)
+        fps = round(1 / self.body.control_step_s)
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": fps}
+        actions = gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
+        return self._space(self.body), actions
 
-    def _action_space(self) -> gymnasium.spaces.Box:
-        return gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
+    def _prepare(self, n: int, **options: Any) -> None:
+        """Prepare N bodies; the options are those of the simulator's environments."""
+        if options:
+            raise TypeError(f"{type(self).__name__} takes no {', '.join(options)}")
 
-    def _is_reset(self) -> bool:
-        """Tell whether there is an episode to go on with."""
-        raise NotImplementedError
-
-    def _make_camera(self) -> Pictures:
-        """Return a camera on the environment, or on the first of several."""
+    def _qpos(self) -> np.ndarray:
+        """Return the joint positions (nq,) of the body, or of the first of several."""
         raise NotImplementedError
 
     def _picture(self) -> np.ndarray:
         """Return a picture (H, W, 3), uint8; raises SilemError where there can be none."""
-        if not self._is_reset():
+        if not self._is_reset:
             raise SilemError("render before reset")
         if self._camera is None:
-            self._camera = self._make_camera()
-        return self._camera.picture()
+            self._camera = Camera(self.body, *self.picture_size)
+        return self._camera.picture(self._qpos())
 
     def close(self) -> None:
         """Give back the camera; closing twice is allowed."""
+        self._is_reset = False
         if self._camera is not None:
             self._camera.close()
             self._camera = None
@@ -103,14 +105,27 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        body: Body,
-        observation_space: gymnasium.spaces.Box,
-        render_mode: str | None,
-        picture_size: tuple[int, int],
+        body: Body | str,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        **options: Any,
     ) -> None:
-        self._set_up(body, render_mode)
-        self.observation_space, self.action_space = observation_space, self._action_space()
-        self.picture_size = picture_size
+        """Make the environment.
+
+        Args:
+            body: A body or its name.
+            render_mode: "rgb_array" to be able to render, or None.
+            width: Of the pictures, in pixels.
+            height: Of the pictures, in pixels.
+            **options: What the class names.
+
+        Raises:
+            SilemError: If an argument is not allowed.
+        """
+        self.observation_space, self.action_space = self._set_up(body, render_mode)
+        self.picture_size = width, height
+        self._prepare(1, **options)
 
     def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; return its first observation (O,) and info."""
@@ -129,7 +144,9 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             The first observation (O,), float32, and the body's info (see `step`).
         """
         super().reset(seed=seed)
-        return self._begin()
+        begun = self._begin()
+        self._is_reset = True
+        return begun
 
     def step(
         self, action: np.ndarray
@@ -147,7 +164,7 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             SilemError: If the action has another shape or is not finite, or before `reset`.
         """
         checked = check_actions(action, (self.body.action_size,))
-        if not self._is_reset():
+        if not self._is_reset:
             raise SilemError("step before reset")
         observation, reward, fallen, info = self._advance(checked)
         return observation, reward, fallen, False, info
@@ -179,14 +196,28 @@ class BatchedEnv(Filmed, VecEnv):
 
     def __init__(
         self,
-        body: Body,
-        observation_space: gymnasium.spaces.Box,
-        n_envs: int,
-        seed: int,
-        max_steps: int | None,
-        render_mode: str | None,
+        body: Body | str,
+        n_envs: int = 4,
+        seed: int = 0,
+        max_steps: int | None = None,
+        render_mode: str | None = "rgb_array",
+        **options: Any,
     ) -> None:
-        max_steps = body.max_steps if max_steps is None else max_steps
+        """Make the environments.
+
+        Args:
+            body: A body or its name.
+            n_envs: E, at least 1.
+            seed: Root of all environments' random streams.
+            max_steps: Steps after which an episode is cut off; None means the body's.
+            render_mode: "rgb_array" or None.
+            **options: What the class names.
+
+        Raises:
+            SilemError: If an argument is not allowed.
+        """
+        spaces = self._set_up(body, render_mode)
+        max_steps = self.body.max_steps if max_steps is None else max_steps
         for name, value in (("n_envs", n_envs), ("max_steps", max_steps)):
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
@@ -194,17 +225,14 @@ class BatchedEnv(Filmed, VecEnv):
         self._generators: list[np.random.Generator] = []
         self._built_at = time.perf_counter()
         self._actions: np.ndarray | None = None
-        self._set_up(body, render_mode)
         metadata = self.metadata
-        super().__init__(int(n_envs), observation_space, self._action_space())
+        super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.seed(seed)
+        self._prepare(self.num_envs, **options)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the root seed; it takes effect at the next `reset`.
-
-        Args:
-            seed: Root of all environments' random streams; None draws one.
+        """Set the root of all random streams, None to draw one, for the next `reset`.
 
         Raises:
             SilemError: If the seed is negative or not a whole number.
@@ -216,11 +244,7 @@ class BatchedEnv(Filmed, VecEnv):
         return [seed] * self.num_envs
 
     def _restart(self, is_seeded: bool) -> np.ndarray:
-        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O).
-
-        Args:
-            is_seeded: Whether the random streams are a new seed's.
-        """
+        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O)."""
         raise NotImplementedError
 
     def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
@@ -228,16 +252,14 @@ class BatchedEnv(Filmed, VecEnv):
         raise NotImplementedError
 
     def reset(self) -> np.ndarray:
-        """Start a new episode in every environment.
-
-        Returns:
-            (E, O) first observations, float32.
-        """
+        """Start a new episode in every environment; return first observations (E, O), float32."""
         is_seeded = bool(self._next_generators)
         if is_seeded:
             self._generators, self._next_generators = self._next_generators, []
         self._actions = None
-        return self._restart(is_seeded)
+        observations = self._restart(is_seeded)
+        self._is_reset = True
+        return observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
@@ -256,7 +278,7 @@ class BatchedEnv(Filmed, VecEnv):
         Raises:
             SilemError: If the environments were not reset, or there is no action.
         """
-        if self._actions is None or not self._is_reset():
+        if self._actions is None or not self._is_reset:
             raise SilemError("step before reset, or step_wait without step_async")
         actions, self._actions = self._actions, None
         return self._advance(actions)
@@ -272,10 +294,7 @@ class BatchedEnv(Filmed, VecEnv):
         }
 
     def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment.
-
-        Args:
-            mode: "rgb_array" or None, which means the same.
+        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
 
         Raises:
             SilemError: For any other mode, in environments without a render mode, before the first

@@ -13,7 +13,7 @@ import hashlib
 import http.client
 import os
 import urllib.request
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -51,9 +51,7 @@ ACKNOWLEDGEMENT = (
 """What CMU asks to be said wherever its data are used."""
 
 ROOT = "root"
-_FOLDER = "mocap"  # of the data folder; git ignores it
-_ROOT_ORDER = ["tx", "ty", "tz", "rx", "ry", "rz"]
-_AXES = ("rx", "ry", "rz")
+_CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis": ["xyz"]}
 
 
 def mocap_file(name: str) -> Path:
@@ -68,7 +66,7 @@ def mocap_file(name: str) -> Path:
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
-    path = (Path(own).expanduser() if own else paths.data_dir() / _FOLDER) / name
+    path = (Path(own).expanduser() if own else paths.data_dir() / "mocap") / name
     cached = path.is_file()
     if own and not cached:
         raise SilemError(f"{path} is missing; {ENV} must hold it, or be unset to download it")
@@ -104,17 +102,11 @@ def _download(name: str, path: Path) -> bytes:
 
 @dataclass(frozen=True)
 class Bone:
-    """A bone of a skeleton; NaN stands for what its file does not say.
+    """A bone of a skeleton; NaN stands for what its file does not say."""
 
-    Attributes:
-        axes: The axes about which it turns ("rx", ...), none if it does not move.
-        length: In the file's unit.
-        frame_deg: Orientation of its own axes: turns about x, y and z, in this order.
-    """
-
-    axes: tuple[str, ...] = ()
-    length: float = float("nan")
-    frame_deg: tuple[float, ...] = (float("nan"),) * 3
+    axes: tuple[str, ...] = ()  #: those about which it turns ("rx", ...), none if it does not move
+    length: float = float("nan")  #: in the file's unit
+    frame_deg: tuple[float, ...] = (float("nan"),) * 3  #: its own axes, turned about x, then y, z
 
 
 @dataclass(frozen=True)
@@ -140,18 +132,14 @@ class AsfSkeleton:
 class AmcClip:
     """The frames of a clip.
 
-    Attributes:
-        path: The file.
-        skeleton: The skeleton that its numbers refer to.
-        frames: (N, C) numbers in the order of the skeleton's columns: the root's position in the
-            file's unit of length, then angles in degrees.
-        first: Number of the first frame.
+    Their numbers are in the order of the skeleton's columns: the root's position in the file's unit
+    of length, then angles in degrees.
     """
 
     path: Path
     skeleton: AsfSkeleton
-    frames: np.ndarray
-    first: int = 1
+    frames: np.ndarray  #: (N, C)
+    first: int = 1  #: number of the first frame
 
 
 class _Line(NamedTuple):
@@ -165,7 +153,6 @@ class _Line(NamedTuple):
         return SilemError(f"{self.path}, line {self.number}: {problem}")
 
     def numbers(self, bone: str, texts: list[str], n: int) -> list[float]:
-        """Return n texts of a bone as numbers."""
         if len(texts) != n:
             raise self.error(f"bone {bone!r} has {len(texts)} values, allowed: {n}")
         try:
@@ -195,6 +182,16 @@ def _lines(path: Path) -> list[_Line]:
     return lines
 
 
+def _blocks(lines: list[_Line], starts: Callable[[str], bool]) -> list[list[_Line]]:
+    """Split lines before each whose first word starts a block; first comes what precedes them."""
+    blocks: list[list[_Line]] = [[]]
+    for line in lines:
+        if starts(line.words[0]):
+            blocks.append([])
+        blocks[-1].append(line)
+    return blocks
+
+
 def read_asf(path: Path | str) -> AsfSkeleton:
     """Read a skeleton, an ASF file.
 
@@ -203,79 +200,54 @@ def read_asf(path: Path | str) -> AsfSkeleton:
             CMU's; or a bone is without name, there twice, or not in the hierarchy.
     """
     path = Path(path)
-    sections: dict[str, list[_Line]] = {}
-    section: list[_Line] = []
-    for line in _lines(path):
-        if line.words[0].startswith(":"):
-            section = sections.setdefault(line.words[0], [])
-        else:
-            section.append(line)
+    _, *found = _blocks(_lines(path), lambda word: word.startswith(":"))
+    sections = {block[0].words[0]: block[1:] for block in found}
     for name in (":root", ":bonedata", ":hierarchy"):
         if not sections.get(name):
             raise SilemError(f"{path} has no section {name}: it is truncated or no ASF file")
-    _expect(sections.get(":units", []), {"angle": ["deg"]})
-    _expect(sections[":root"], {"order": _ROOT_ORDER, "axis": ["xyz"]})
-    for line in sections[":root"]:
-        if line.words[0] == "orientation" and any(line.numbers(ROOT, line.words[1:], 3)):
+    for line in sections.get(":units", []) + sections[":root"]:
+        key, *values = line.words
+        if _CMUS.get(key, values) != values:
+            allowed = " ".join(_CMUS[key])
+            raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
+        if key == "orientation" and any(line.numbers(ROOT, values, 3)):
             raise line.error("the root is turned; allowed: orientation 0 0 0")
-    bones = _bones(sections[":bonedata"])
+    bones: dict[str, Bone] = {}
+    for block in _blocks(sections[":bonedata"], "begin".__eq__)[1:]:
+        line = next((line for line in block if line.words[0] == "name"), block[0])
+        name, *more = line.words[1:] or [""]
+        if more or not name or name in bones:
+            raise line.error(f"a bone needs one name of its own, not {' '.join(line.words[1:])!r}")
+        bones[name] = _bone(name, block)
     _check_hierarchy(sections[":hierarchy"], bones)
     return AsfSkeleton(path, bones)
 
 
-def _expect(lines: list[_Line], wanted: dict[str, list[str]]) -> None:
-    for line in lines:
+def _bone(name: str, block: list[_Line]) -> Bone:
+    bone = Bone()
+    for line in block:
         key, *values = line.words
-        if wanted.get(key, values) != values:
-            allowed = " ".join(wanted[key])
-            raise line.error(f"{key} is {' '.join(values)!r}; allowed: CMU's, {allowed!r}")
+        if key == "length":
+            bone = replace(bone, length=line.numbers(name, values, 1)[0])
+        elif key == "axis":
+            if values[3:] not in ([], ["xyz"]):
+                raise line.error(f"bone {name!r} has axes {' '.join(values[3:])!r}; allowed: 'xyz'")
+            bone = replace(bone, frame_deg=tuple(line.numbers(name, values[:3], 3)))
+        elif key == "dof":
+            if len(set(values)) != len(values) or not {*values} <= {"rx", "ry", "rz"}:
+                raise line.error(f"bone {name!r} turns about {values}; allowed: rx, ry, rz")
+            bone = replace(bone, axes=tuple(values))
+    return bone
 
 
-def _bones(lines: list[_Line]) -> dict[str, Bone]:
-    bones: dict[str, Bone] = {}
-    name = ""
-    for line in lines:
-        key, *values = line.words
-        if key == "begin":
-            name = ""
-        elif key == "name":
-            if len(values) != 1 or values[0] in bones:
-                raise line.error(f"a bone needs one name of its own, not {' '.join(values)!r}")
-            name = values[0]
-            bones[name] = Bone()
-        elif key in ("dof", "length", "axis"):
-            if not name:
-                raise line.error(f"{key} of a bone without name; allowed: after the bone's name")
-            bones[name] = _described(bones[name], name, line)
-    return bones
-
-
-def _described(bone: Bone, name: str, line: _Line) -> Bone:
-    """Return a bone with what one line says of it."""
-    key, *values = line.words
-    if key == "length":
-        return replace(bone, length=line.numbers(name, values, 1)[0])
-    if key == "axis":
-        if values[3:] not in ([], ["xyz"]):
-            raise line.error(f"bone {name!r} has axes {' '.join(values[3:])!r}; allowed: 'xyz'")
-        return replace(bone, frame_deg=tuple(line.numbers(name, values[:3], 3)))
-    if len(set(values)) != len(values) or not set(values) <= set(_AXES):
-        raise line.error(f"bone {name!r} turns about {values}; allowed: {', '.join(_AXES)}")
-    return replace(bone, axes=tuple(values))
-
-
-def _check_hierarchy(lines: list[_Line], bones: Iterable[str]) -> None:
-    linked = {ROOT}
-    for line in lines[1:-1]:  # between "begin" and "end"
-        unknown = [bone for bone in line.words if bone not in (ROOT, *bones)]
-        if unknown:
-            raise line.error(f"unknown bone {unknown[0]!r}: the file describes no such bone")
-        linked.update(line.words[1:])
+def _check_hierarchy(lines: list[_Line], bones: dict[str, Bone]) -> None:
     if lines[0].words != ["begin"] or lines[-1].words != ["end"]:
         raise lines[-1].error("the hierarchy is not from 'begin' to 'end': it is truncated")
-    loose = [bone for bone in bones if bone not in linked]
-    if loose:
-        raise lines[-1].error(f"bone {loose[0]!r} hangs on no other bone")
+    hanging = {bone for line in lines[1:-1] for bone in line.words[1:]}
+    carrying = {line.words[0] for line in lines[1:-1]}
+    if differing := carrying - {ROOT, *bones} | hanging ^ bones.keys():
+        names = ", ".join(sorted(differing))
+        raise lines[-1].error(f"not both described and in the hierarchy: {names}")
 
 
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
@@ -287,45 +259,36 @@ def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
             values, or holds NaN or infinity.
     """
     path = Path(path)
-    header: list[str] = []
-    blocks: list[list[_Line]] = []
-    first = 1
-    for line in _lines(path):
+    header, *blocks = _blocks(_lines(path), lambda word: word.isdigit() and len(word) < 10)
+    for line in header:
         word = line.words[0]
-        if len(line.words) == 1 and word.isdigit() and len(word) < 10:
-            first = first if blocks else int(word)
-            if int(word) != first + len(blocks):
-                raise line.error(f"frame {word} where frame {first + len(blocks)} is due")
-            blocks.append([line])
-        elif blocks:
-            blocks[-1].append(line)
-        elif word.startswith(":"):
-            header.append(word)
-        else:
+        if not word.startswith(":"):
             raise line.error(f"{word!r} before the first frame; allowed: lines that begin with ':'")
     if not blocks:
         raise SilemError(f"{path} holds no frame: it is truncated or no AMC file")
-    if ":degrees" not in header:
+    if ":degrees" not in [line.words[0] for line in header]:
         raise SilemError(f"{path} does not say :DEGREES; allowed: angles in degrees")
+    first = int(blocks[0][0].words[0])
     n_values = {ROOT: 6} | {bone: len(axes) for bone, axes in skeleton.dof.items()}
-    return AmcClip(path, skeleton, np.array([_frame(block, n_values) for block in blocks]), first)
+    frames = [_frame(number, block, n_values) for number, block in enumerate(blocks, first)]
+    return AmcClip(path, skeleton, np.array(frames), first)
 
 
-def _frame(block: list[_Line], n_values: dict[str, int]) -> list[float]:
-    """Return a frame's numbers from the line of its number and the lines of its bones."""
-    name = f"frame {block[0].words[0]}"
+def _frame(number: int, block: list[_Line], n_values: dict[str, int]) -> list[float]:
+    """Return a frame's numbers from the line of its own number and the lines of its bones."""
+    if len(block[0].words) > 1 or int(block[0].words[0]) != number:
+        raise block[0].error(f"frame {' '.join(block[0].words)} where frame {number} is due")
     values: dict[str, list[float]] = {}
     for line in block[1:]:
         bone, *texts = line.words
-        if bone not in n_values:
-            raise line.error(f"unknown bone {bone!r} in {name}: no such bone moves in the skeleton")
-        if bone in values:
-            raise line.error(f"bone {bone!r} is in {name} twice")
+        if bone not in n_values or bone in values:
+            problem = "there twice" if bone in values else "unknown: no such bone can move"
+            raise line.error(f"bone {bone!r} of frame {number} is {problem}")
         values[bone] = line.numbers(bone, texts, n_values[bone])
     missing = [bone for bone in n_values if bone not in values]
     if missing:
         raise block[-1].error(
-            f"{name} ends without bone {missing[0]!r} ({len(missing)} missing):"
+            f"frame {number} ends without bone {missing[0]!r} ({len(missing)} missing):"
             " the file is truncated or of another skeleton"
         )
     return [value for bone in n_values for value in values[bone]]

@@ -15,7 +15,6 @@ from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, choose, reason
 
 MANIFEST = "manifest.json"
-_WAIT_S = 600.0
 _OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of every file
 
 
@@ -23,19 +22,14 @@ _OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of 
 class Demonstrations:
     """An expert's trajectories; no actions.
 
-    Attributes:
-        features: One (T + 1, F) float32 array of skeletal features per trajectory.
-        returns: The expert's return per trajectory, or an empty tuple where it is unknown.
-        body: The expert's body.
-        expert_run_id: The run whose policy was rolled out, "" where there is none.
-        extra: What else is known of the states, by name ("qpos", "points", ...): arrays of one row
-            per state, the trajectories one after another. Imitators never see them.
+    Beside its features more can be known of the states, by name ("qpos", "points", ...): arrays of
+    one row per state, the trajectories one after another. Imitators never see them.
     """
 
-    features: tuple[np.ndarray, ...]
-    returns: tuple[float, ...] = ()
-    body: str = ""
-    expert_run_id: str = ""
+    features: tuple[np.ndarray, ...]  #: one (T + 1, F) float32 array per trajectory
+    returns: tuple[float, ...] = ()  #: the expert's, per trajectory; empty where it is unknown
+    body: str = ""  #: the expert's
+    expert_run_id: str = ""  #: the run whose policy was rolled out, "" where there is none
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -48,10 +42,7 @@ class Demonstrations:
             if array.dtype.kind != "f":
                 raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
-                raise SilemError(
-                    f"trajectory {i} has {len(array)} state(s), too short for a window: "
-                    "a window needs a transition, so at least 2 states"
-                )
+                raise SilemError(f"trajectory {i} is too short: {len(array)} of at least 2 states")
             if not np.isfinite(array).all():
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
         if len(self.returns) not in (0, len(self.features)):
@@ -74,27 +65,19 @@ class Demonstrations:
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
         n_states = sum(len(array) for array in self.features[:n])
-        return replace(
-            self,
-            features=self.features[:n],
-            returns=self.returns[:n],
-            extra={name: array[:n_states] for name, array in self.extra.items()},
-        )
+        extra = {name: array[:n_states] for name, array in self.extra.items()}
+        return replace(self, features=self.features[:n], returns=self.returns[:n], extra=extra)
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""
-        lengths = np.array([len(array) for array in self.features], dtype=np.int64)
-        files.write_npz(
-            Path(path),
-            {
-                "features": np.concatenate(self.features),
-                "lengths": lengths,
-                "returns": np.array(self.returns, dtype=np.float64),
-                "body": np.array(self.body),
-                "expert_run_id": np.array(self.expert_run_id),
-                **self.extra,
-            },
+        own = (
+            np.concatenate(self.features),
+            np.array([len(array) for array in self.features], dtype=np.int64),
+            np.array(self.returns, dtype=np.float64),
+            np.array(self.body),
+            np.array(self.expert_run_id),
         )
+        files.write_npz(Path(path), {**dict(zip(_OWN, own, strict=True)), **self.extra})
 
     @classmethod
     def from_arrays(cls, arrays: Iterable[np.ndarray]) -> Demonstrations:
@@ -146,14 +129,11 @@ def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
     Those that no run makes come with the package, and are found there if not in the data folder.
-
-    Raises:
-        SilemError: As `silem.util.errors.check_name`.
+    Raises as `silem.util.errors.check_name`.
     """
     path = _own_file(name)
-    if not path.exists() and path.stem in _packaged():
-        return paths.clips_dir() / path.name
-    return path
+    packaged = not path.exists() and path.stem in _packaged()
+    return paths.clips_dir() / path.name if packaged else path
 
 
 def _own_file(name: str) -> Path:
@@ -162,15 +142,12 @@ def _own_file(name: str) -> Path:
 
 
 def _packaged() -> dict[str, dict[str, Any]]:
-    return {n: about for n, about in _read(paths.clips_dir()).items() if not about["expert_run_id"]}
+    every = _read(paths.clips_dir())
+    return {name: about for name, about in every.items() if not about.get("expert_run_id")}
 
 
 def manifest() -> dict[str, dict[str, Any]]:
-    """Return what is said of all published demonstrations, and of those with the package, by name.
-
-    Raises:
-        SilemError: The manifest is damaged.
-    """
+    """Return what is said of all demonstrations, published or with the package, by name."""
     return _packaged() | _read(paths.demonstrations_dir())
 
 
@@ -183,11 +160,7 @@ def _read(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def entry(name: str) -> dict[str, Any]:
-    """Return what the manifest says of published demonstrations.
-
-    Raises:
-        SilemError: There are none of this name.
-    """
+    """Return what the manifest says of published demonstrations; SilemError if there are none."""
     content = manifest()
     return content[choose("demonstrations", name, content)]
 
@@ -204,22 +177,23 @@ def is_published(name: str) -> bool:
     path = file_of(name)
     if not path.exists():
         return False
-    if (about := manifest().get(path.stem)) is None:
-        return not Demonstrations.load(name).expert_run_id
-    return bool(about.get("sha256") == files.sha256(path))
+    if (about := manifest().get(path.stem)) is not None:
+        return bool(about.get("sha256") == files.sha256(path))
+    return not Demonstrations.load(name).expert_run_id
 
 
 def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
     Raises:
-        SilemError: The file is damaged, not the one that the manifest describes, or another body's.
+        SilemError: The file is missing, damaged, not the one that the manifest describes, or
+            another body's.
     """
     path = file_of(name)
-    if not is_published(name):
+    if path.exists() and not is_published(name):
         raise SilemError(
             f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
-            " it again, with `python -m silem demonstrations` or `python -m silem mocap`"
+            " it again, with `silem demonstrations` or `silem mocap`"
         )
     there = Demonstrations.load(name)
     about = manifest().get(path.stem, {"body": there.body})
@@ -230,12 +204,8 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
 
 @contextmanager
 def publishing() -> Iterator[None]:
-    """Hold the one lock of all demonstrations, because they share the manifest.
-
-    Raises:
-        SilemError: Another process holds it for longer than ten minutes.
-    """
-    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=_WAIT_S):
+    """Hold the one lock of all demonstrations, which share the manifest; wait up to ten minutes."""
+    with files.lock(paths.runs_dir() / "demonstrations.lock", wait_s=600.0):
         files.remove_leftovers(paths.demonstrations_dir())
         yield
 
@@ -243,15 +213,10 @@ def publishing() -> Iterator[None]:
 def publish(
     name: str, demonstrations: Demonstrations, about: Mapping[str, Any] | None = None
 ) -> Path:
-    """Save demonstrations under the data folder and enter them in its manifest.
+    """Save demonstrations under the data folder, where `Demonstrations.load` finds them by name.
 
-    Args:
-        name: What `Demonstrations.load` finds them by.
-        demonstrations: The demonstrations.
-        about: What else the manifest should say of them, such as source and licence.
-
-    Returns:
-        The file.
+    They are entered in its manifest with what else is to be said `about` them, such as source and
+    licence. Returns the file.
     """
     path = _own_file(name)
     content = _read(path.parent)
@@ -272,13 +237,11 @@ def publish(
 
 
 def captured_speed_m_s(name: str) -> float | None:
-    """Return the mean speed of the man whose motion was captured, None for a policy's episodes.
+    """Return the mean speed of the man whose motion was captured, None where there was none.
 
     Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
-
-    Raises:
-        SilemError: There are no such demonstrations, or no manifest.
     """
-    about = entry(name)
+    if (about := manifest().get(name)) is None:
+        return None  # a person's own file
     captured = entry(about.get("retargeted_from", name))
     return captured["speed_m_s"] if "capture_rate_hz" in captured else None

@@ -9,7 +9,6 @@ planted feet would slide.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -29,36 +28,22 @@ from silem.motion import demonstrations as demos
 from silem.motion.clips import AmcClip, AsfSkeleton, read_amc, read_asf
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.features import skeletal_features
-from silem.motion.kinematics import Soles
+from silem.motion.kinematics import SIDES, Soles
 from silem.util import files
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose
 
 BODY = "humanoid_CMU"
-CLIPS = tuple(f"08_{number:02d}" for number in range(1, 12))
-"""Subject 8's clips, all of walking."""
+CLIPS = tuple(f"08_{number:02d}" for number in range(1, 12))  #: subject 8's, all of walking
+RATE_HZ = 40.0  #: the control rate of the humanoids
+CMU_RATE_HZ = 120.0  #: of subject 8's; the files do not say it, and a few of CMU's have 60
 
-RATE_HZ = 40.0
-"""The control rate of the humanoids."""
-
-CMU_RATE_HZ = 120.0
-"""At which subject 8 was captured. The files do not say it, and a few of CMU's have 60."""
-
+_LIMBS = {"shoulder": "humerus", "elbow": "radius", "hand": "hand"}
+_LIMBS |= {"hip": "femur", "knee": "tibia", "foot": "foot"}
 SKELETON = Skeleton(
     torso="thorax",
     head="head",
-    left_shoulder="lhumerus",
-    left_elbow="lradius",
-    left_hand="lhand",
-    right_shoulder="rhumerus",
-    right_elbow="rradius",
-    right_hand="rhand",
-    left_hip="lfemur",
-    left_knee="ltibia",
-    left_foot="lfoot",
-    right_hip="rfemur",
-    right_knee="rtibia",
-    right_foot="rfoot",
     axes="zxy",
+    **{f"{side}_{name}": side[0] + bone for side in SIDES for name, bone in _LIMBS.items()},
 )
 """The torso is the thorax: the paper's distances in the default pose, feet 1.13 m and hands 0.74 m
 away, are those from `humanoid_CMU`'s thorax."""
@@ -68,14 +53,9 @@ FLOOR_SLOPE = 0.0206
 captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
 eleven clips, has this slope, with a standard error of 0.0006. Of other clips nothing is known."""
 
-MAX_HELD_S = 0.1
-"""A frame may be held this long for the gap to be closed by interpolation."""
-
-MAX_ROOT_ACCELERATION_M_S2 = 600.0
-"""From one frame to the next: 61 times gravity, which no walking man's pelvis does."""
-
-MIN_SPEED_M_S = 0.1
-"""A clip of a man who goes no faster has no direction, and nothing for a task of walking."""
+MAX_HELD_S = 0.1  #: a frame may be held this long for the gap to be closed by interpolation
+MAX_ROOT_ACCELERATION_M_S2 = 600.0  #: 61 times gravity, which no walking man's pelvis reaches
+MIN_SPEED_M_S = 0.1  #: a man who goes no faster has no direction, and shows nothing of walking
 
 FEATURES_VERSION = 1
 """How a clip becomes features: to be raised, and the clips published anew, when numbers change."""
@@ -88,29 +68,17 @@ _PUBLISHED = ("qpos", "qvel", "points", "torso_axes", "com_velocity")
 
 @dataclass(frozen=True)
 class Motion:
-    """A demonstrator's motion in the world: x forward, y left, z up, the floor at z = 0.
+    """A demonstrator's motion in the world: x forward, y left, z up, the floor at z = 0."""
 
-    Attributes:
-        name: The clip, for example "08_01".
-        rate_hz: States per second.
-        qpos: (T, 63) the model's pose: the root's position and quaternion, then hinges.
-        qvel: (T, 62) its velocity, by central differences over the neighbouring states.
-        points: (T, P, 3) landmarks in m, in the order of `silem.motion.features.POINTS`.
-        torso_axes: (T, 3, 3) forward, left and up of the torso, as rows.
-        com_velocity: (T, 3) velocity of the whole body's centre of mass in m/s.
-        features: (T, F) float32 skeletal features.
-        repairs: What was mended in the clip, one sentence each.
-    """
-
-    name: str
-    rate_hz: float
-    qpos: np.ndarray
-    qvel: np.ndarray
-    points: np.ndarray
-    torso_axes: np.ndarray
-    com_velocity: np.ndarray
-    features: np.ndarray
-    repairs: tuple[str, ...] = ()
+    name: str  #: the clip, for example "08_01"
+    rate_hz: float  #: states per second
+    qpos: np.ndarray  #: (T, 63) its model's pose, the root's position and quaternion first
+    qvel: np.ndarray  #: (T, 62) its velocity, by central differences over the neighbouring states
+    points: np.ndarray  #: (T, P, 3) landmarks in m, in the order of `silem.motion.features.POINTS`
+    torso_axes: np.ndarray  #: (T, 3, 3) forward, left and up of the torso, as rows
+    com_velocity: np.ndarray  #: (T, 3) velocity of the whole body's centre of mass in m/s
+    features: np.ndarray  #: (T, F) float32 skeletal features
+    repairs: tuple[str, ...] = ()  #: what was mended in the clip, one sentence each
 
     @property
     def duration_s(self) -> float:
@@ -135,11 +103,9 @@ def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
     Raises:
         SilemError: The clip is unknown or cannot be had, or as `read_amc` and `pose`.
     """
-    choose("clip", clip, CLIPS)
     skeleton = read_asf(clips.mocap_file("08/08.asf"))
-    amc = read_amc(clips.mocap_file(f"08/{clip}.amc"), skeleton)
-    motion = pose(amc, CMU_RATE_HZ, rate_hz, floor_slope=FLOOR_SLOPE, heading_rad=0.0)
-    return replace(motion, name=clip)
+    amc = read_amc(clips.mocap_file(f"08/{choose('clip', clip, CLIPS)}.amc"), skeleton)
+    return pose(amc, CMU_RATE_HZ, rate_hz, floor_slope=FLOOR_SLOPE, heading_rad=0.0)
 
 
 def pose(
@@ -162,8 +128,7 @@ def pose(
     Args:
         clip: The frames.
         capture_rate_hz: Frames per second, which the files do not say.
-        rate_hz: States per second, up to the capture's. Positions and hinges are interpolated
-            linearly, the root's orientation along the great arc (slerp).
+        rate_hz: States per second, up to the capture's; see `silem.motion.kinematics.interpolate`.
         floor_slope: By how many metres the captured floor rises per metre forward.
         heading_rad: Direction of walking, from CMU's forward axis (z) to the left; None means from
             the first frame's place to the last one's.
@@ -181,7 +146,8 @@ def pose(
     if not abs(floor_slope) < 1:
         raise SilemError(f"a floor that rises by {floor_slope} m per metre; allowed: below 1")
     _check_skeleton(clip.skeleton)
-    to_qpos = Amcvals2qpos(_joint_of_qpos(), clip.skeleton.columns)
+    numbers = [clips.ROOT] * 7 + _hinges()
+    to_qpos = Amcvals2qpos(dict(enumerate(numbers)), clip.skeleton.columns)
     captured = np.stack([to_qpos(frame) for frame in clip.frames])
     captured[:, 7:] = np.unwrap(captured[:, 7:], axis=0)
     repairs = _scale_way(captured, clip.skeleton)
@@ -199,20 +165,14 @@ def pose(
     return Motion(clip.path.stem, rate_hz, qpos, qvel, *seen, features, (*repairs, *filled))
 
 
-def _joint_of_qpos() -> dict[int, str]:
-    """Return the joint that each number of qpos belongs to, named as a clip's columns."""
-    joints = [model().joint(index) for index in range(model().njnt)]
-    return {
-        int(joint.qposadr[0]) + i: joint.name
-        for joint in joints
-        for i in range(7 if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE else 1)
-    }
+def _hinges() -> list[str]:
+    """Return the model's hinges in the order of qpos, named as a clip's columns."""
+    return [model().joint(index).name for index in range(1, model().njnt)]
 
 
 def _check_skeleton(skeleton: AsfSkeleton) -> None:
     """Raise unless the bones turn about the same axes as the model's."""
-    wanted = set(list(_joint_of_qpos().values())[7:])
-    found = set(skeleton.columns[6:])
+    wanted, found = set(_hinges()), set(skeleton.columns[6:])
     for problem, joints in (("lacks", wanted - found), ("has too much", found - wanted)):
         if joints:
             bone, axis = min(joints)[:-2], min(joints)[-2:]
@@ -289,11 +249,7 @@ def _check_root(captured: np.ndarray, clip: AmcClip, rate_hz: float) -> None:
 
 
 def _place(
-    captured: np.ndarray,
-    clip: AmcClip,
-    rate_hz: float,
-    floor_slope: float,
-    heading_rad: float | None,
+    captured: np.ndarray, clip: AmcClip, rate_hz: float, slope: float, heading_rad: float | None
 ) -> np.ndarray:
     """Turn a clip to x and level it, start it at the origin, set it on the floor."""
     if heading_rad is None:
@@ -305,7 +261,7 @@ def _place(
                 f" allowed: {MIN_SPEED_M_S} m/s or more"
             )
         heading_rad = np.arctan2(way[1], way[0])
-    level = Rotation.from_euler("y", np.arctan(floor_slope))
+    level = Rotation.from_euler("y", np.arctan(slope))
     turn = level * Rotation.from_euler("z", -heading_rad) * _TURN
     placed = captured.copy()
     placed[:, :3] = turn.apply(captured[:, :3])
@@ -324,14 +280,13 @@ def published_motion(clip: str) -> Motion:
     """Return the motion that was published for a clip: one of `CLIPS`, or an own one.
 
     Raises:
-        SilemError: It was not published, or its file is damaged or no such motion.
+        SilemError: As `silem.motion.demonstrations.load_published`, or it is no such motion.
     """
-    about = demos.entry(published_name(clip))
-    there = Demonstrations.load(published_name(clip))
+    name = published_name(clip)
+    about, (there, _) = demos.entry(name), demos.load_published(name)
     if there.body != BODY or set(there.extra) != set(_PUBLISHED):
-        raise SilemError(f"demonstrations {published_name(clip)!r} are no captured motion")
-    repairs = tuple(about["repairs"])
-    (features,) = there.features
+        raise SilemError(f"demonstrations {name!r} are no captured motion")
+    (features,), repairs = there.features, tuple(about["repairs"])
     return Motion(clip, about["rate_hz"], features=features, repairs=repairs, **there.extra)
 
 
@@ -344,7 +299,6 @@ def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> li
     written = []
     with demos.publishing():
         for clip in tqdm(names, "clips", disable=not progress):
-            motion = load_motion(clip)
             about = {
                 "source": f"{clips.URL}08/{clip}.amc",
                 "source_sha256": clips.SHA256[f"08/{clip}.amc"],
@@ -352,7 +306,7 @@ def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> li
                 "licence": clips.LICENCE,
                 "acknowledgement": clips.ACKNOWLEDGEMENT,
             }
-            written.append(_publish(motion, about, CMU_RATE_HZ, FLOOR_SLOPE))
+            written.append(_publish(load_motion(clip), about, CMU_RATE_HZ, FLOOR_SLOPE))
     return written
 
 
@@ -361,25 +315,20 @@ def publish_own(
 ) -> Path:
     """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
 
-    Args:
-        name: What runs find it by, for example "my_walk". What had this name is replaced.
-        asf: The file of the skeleton.
-        amc: The file of the clip.
-        capture_rate_hz: See `pose`.
-        floor_slope: See `pose`.
+    Runs find it by its name, "my_walk" for example; what had this name is replaced. Rate and slope
+    are those of `pose`.
 
     Raises:
         SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another
             process is publishing.
     """
     taken = {*bodies.names(), *map(published_name, CLIPS)}
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) or name in taken or "_on_" in name:
+    if check_name("clip", name) in taken or "." in name or "_on_" in name:
         raise SilemError(
-            f"a clip cannot be named {name!r}; allowed: up to 64 letters, digits, _ and -, not a"
-            " body's name, not that of one of subject 8's clips, and no '_on_'"
+            f"a clip cannot be named {name!r}; allowed: neither a body's name nor that of one of"
+            " subject 8's clips, no '.', and no '_on_'"
         )
-    skeleton = read_asf(asf)
-    motion = pose(read_amc(amc, skeleton), capture_rate_hz, floor_slope=floor_slope)
+    motion = pose(read_amc(amc, read_asf(asf)), capture_rate_hz, floor_slope=floor_slope)
     about = {
         "source": Path(amc).name,
         "source_sha256": files.sha256(Path(amc)),

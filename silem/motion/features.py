@@ -27,40 +27,25 @@ class Feature(NamedTuple):
 
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
-_JOINTS = ("left_elbow", "right_elbow", "left_knee", "right_knee")
-_SEGMENTS = {"elbow": ("shoulder", "hand"), "knee": ("hip", "foot")}  # what a joint lies between
+_JOINTS = {  # and the ends of the two segments that meet there
+    f"{side}_{joint}": (f"{side}_{start}", f"{side}_{end}")
+    for joint, start, end in (("elbow", "shoulder", "hand"), ("knee", "hip", "foot"))
+    for side in ("left", "right")
+}
 _HEAD = POINTS.index("head")
 
-
-def _vectors() -> tuple[np.ndarray, np.ndarray]:
-    """Return where the vectors that features are made of end and start: numbers of landmarks.
-
-    First from the torso to each of `_LIMBS`, then from each of `_JOINTS` to one end of its limb,
-    then to the other end.
-    """
-    pairs = [(limb, "torso") for limb in _LIMBS]
-    for end in (0, 1):
-        for joint in _JOINTS:
-            side, name = joint.split("_")
-            pairs.append((f"{side}_{_SEGMENTS[name][end]}", joint))
-    ends, starts = np.array([[POINTS.index(name) for name in pair] for pair in pairs]).T
-    return ends, starts
-
-
-_ENDS, _STARTS = _vectors()
+# The vectors that features are made of end and start at these landmarks: from the torso to each of
+# the limbs, from each of the joints to one end and to the other.
+_PAIRS = [(limb, "torso") for limb in _LIMBS]
+_PAIRS += [(ends[i], joint) for i in (0, 1) for joint, ends in _JOINTS.items()]
+_ENDS, _STARTS = np.array([[POINTS.index(name) for name in pair] for pair in _PAIRS]).T
 
 
 def _features() -> tuple[Feature, ...]:
-    limbs = [
-        Feature(f"{limb}_{axis}", f"{limb.replace('_', ' ')} {axis}", "m")
-        for limb in _LIMBS
-        for axis in "xyz"
-    ]
-    joints = [Feature(joint, joint.replace("_", " "), "rad") for joint in _JOINTS]
-    head = Feature("head_height", "head height", "m")
-    up = [Feature(f"torso_vertical_{axis}", f"torso vertical {axis}", "") for axis in "xyz"]
-    velocity = [Feature(f"com_velocity_{axis}", f"velocity {axis}", "m/s") for axis in "xyz"]
-    return (*limbs, *joints, head, *up, *velocity)
+    vectors = [*((limb, "m") for limb in _LIMBS), ("torso_vertical", ""), ("com_velocity", "m/s")]
+    named = [(f"{name}_{axis}", unit) for name, unit in vectors for axis in "xyz"]
+    named[12:12] = [*((joint, "rad") for joint in _JOINTS), ("head_height", "m")]
+    return tuple(Feature(n, n.removeprefix("com_").replace("_", " "), unit) for n, unit in named)
 
 
 FEATURES = _features()
@@ -70,11 +55,7 @@ the two segments that meet there, pi when the limb is straight."""
 
 
 class Landmarks:
-    """Where a model's landmarks are found in its data.
-
-    Attributes:
-        ids: (P,) numbers of the MuJoCo bodies, in the order of `POINTS`.
-        root: Number of the body that carries all others.
+    """Where a model's landmarks are found in its data: the numbers of its bodies.
 
     Raises:
         SilemError: If the model lacks one of the skeleton's bodies.
@@ -86,9 +67,9 @@ class Landmarks:
         missing = [name for name, index in zip(names, found, strict=True) if index < 0]
         if missing:
             raise SilemError(f"the model has no body {', '.join(missing)} that its skeleton names")
-        self.ids = np.array(found)
+        self.ids = np.array(found)  #: (P,) in the order of `POINTS`
         self.torso = found[0]
-        self.root = int(model.body_rootid[self.torso])
+        self.root = int(model.body_rootid[self.torso])  #: carries all others
         self._axes = np.array(["xyz".index(axis) for axis in skeleton.axes])
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
@@ -131,11 +112,18 @@ def skeletal_features(
     return np.concatenate(parts, axis=-1, dtype=np.float32)
 
 
+def read(
+    model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `skeletal_features` takes of one state, whose velocities must be up to date."""
+    mujoco.mj_subtreeVel(model, data)
+    velocity = data.subtree_linvel[landmarks.root].copy()
+    return landmarks.points(data), landmarks.torso_axes(data), velocity
+
+
 def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.ndarray:
     """Return the features (F,) of one state; its positions and velocities must be up to date."""
-    mujoco.mj_subtreeVel(model, data)
-    velocity = data.subtree_linvel[landmarks.root]
-    return skeletal_features(landmarks.points(data), landmarks.torso_axes(data), velocity)
+    return skeletal_features(*read(model, data, landmarks))
 
 
 def _angles(segments: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from silem.bodies.body import Skeleton
-from silem.motion.features import Landmarks
+from silem.motion.features import Landmarks, read
 from silem.util.errors import SilemError
 
 SIDES = ("left", "right")
@@ -56,29 +56,19 @@ def velocities(model: mujoco.MjModel, qpos: np.ndarray, rate_hz: float) -> np.nd
 def observe(
     model: mujoco.MjModel, skeleton: Skeleton, qpos: np.ndarray, qvel: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `silem.motion.features.skeletal_features` takes, of states (T, nq), (T, nv).
-
-    Landmarks (T, P, 3) in m; forward, left and up of the torso as rows, (T, 3, 3); velocity of the
-    whole body's centre of mass in m/s, (T, 3).
-    """
+    """Return what `silem.motion.features.skeletal_features` takes, of states (T, nq), (T, nv)."""
     data, landmarks, seen = mujoco.MjData(model), Landmarks(model, skeleton), []
     for data.qpos[:], data.qvel[:] in zip(qpos, qvel, strict=True):
         mujoco.mj_forward(model, data)
-        mujoco.mj_subtreeVel(model, data)
-        velocity = data.subtree_linvel[landmarks.root].copy()
-        seen.append((landmarks.points(data), landmarks.torso_axes(data), velocity))
+        seen.append(read(model, data, landmarks))
     points, torso_axes, com_velocity = (np.array(column) for column in zip(*seen, strict=True))
     return points, torso_axes, com_velocity
 
 
-class Soles:
-    """The points of the feet that can touch the floor first: capsule ends and box corners.
+class Soles(mink.Limit):
+    """The K points of the feet that can touch the floor first: capsule ends and box corners.
 
-    Attributes:
-        bodies: (K,) number of the MuJoCo body that carries each point.
-        offsets: (K, 3) the point in that body's frame, in m.
-        radii: (K,) radius around it, in m.
-        foot: (K,) which of the feet it belongs to, in the order of `SIDES`.
+    For inverse kinematics, the constraint that none of them goes below the floor z = 0.
 
     Raises:
         SilemError: A foot has no shape that collides, or one that is no sphere, capsule or box.
@@ -86,25 +76,27 @@ class Soles:
 
     def __init__(self, model: mujoco.MjModel, skeleton: Skeleton) -> None:
         self._model, rows = model, []
+        collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         for number, side in enumerate(SIDES):
             foot = getattr(skeleton, f"{side}_foot")
-            geoms = _colliding_geoms(model, model.body(foot).id)
-            if not geoms:
+            geoms = mink.get_subtree_geom_ids(model, model.body(foot).id)
+            if not collides[geoms].any():
                 raise SilemError(f"foot {foot!r} has no shape that could touch the floor")
-            for geom in geoms:
+            for geom in sorted(geom for geom in geoms if collides[geom]):
                 points, radius = _extremes(model, geom)
                 rows += [(model.geom_bodyid[geom], point, radius, number) for point in points]
         columns = (np.array(column) for column in zip(*rows, strict=True))
-        self.bodies, self.offsets, self.radii, self.foot = columns
+        # the body that carries each point, its place in that body's frame, the radius, which foot
+        self._bodies, self._offsets, self._radii, self._foot = columns
 
-    def centers(self, data: mujoco.MjData) -> np.ndarray:
+    def _centers(self, data: mujoco.MjData) -> np.ndarray:
         """Return the points in the world, (K, 3)."""
-        frames = data.xmat[self.bodies].reshape(-1, 3, 3)
-        return data.xpos[self.bodies] + (frames @ self.offsets[..., None])[..., 0]
+        frames = data.xmat[self._bodies].reshape(-1, 3, 3)
+        return data.xpos[self._bodies] + (frames @ self._offsets[..., None])[..., 0]
 
     def heights(self, data: mujoco.MjData) -> np.ndarray:
-        """Return how far the shape around each point is above the floor z = 0, in m, (K,)."""
-        return self.centers(data)[:, 2] - self.radii
+        """Return how far the shape around each point is above the floor in m, (K,)."""
+        return self._centers(data)[:, 2] - self._radii
 
     def lowest(self, qpos: np.ndarray) -> np.ndarray:
         """Return the height of each foot's lowest point in m, (T, 2), in poses (T, nq)."""
@@ -112,54 +104,34 @@ class Soles:
         for data.qpos[:], row in zip(qpos, lowest, strict=True):
             mujoco.mj_kinematics(self._model, data)
             heights = self.heights(data)
-            row[:] = [heights[self.foot == foot].min() for foot in range(len(SIDES))]
+            row[:] = [heights[self._foot == foot].min() for foot in range(len(SIDES))]
         return lowest
-
-
-class FloorLimit(mink.Limit):
-    """Inverse kinematics' constraint that no point of the soles goes below the floor z = 0."""
-
-    def __init__(self, model: mujoco.MjModel, soles: Soles) -> None:
-        self._model, self._soles = model, soles
 
     def compute_qp_inequalities(
         self, configuration: mink.Configuration, dt: float
     ) -> mink.Constraint:
         """Return G and h: a step dq with G dq <= h lowers no point by more than its height."""
         del dt  # a limit on the step, not on a velocity
-        data, soles = configuration.data, self._soles
-        rows = np.empty((len(soles.bodies), self._model.nv))
-        jacobian = np.empty((3, self._model.nv))
-        for row, point, body in zip(rows, soles.centers(data), soles.bodies, strict=True):
-            mujoco.mj_jac(self._model, data, jacobian, None, point, body)
-            row[:] = -jacobian[2]
-        return mink.Constraint(G=rows, h=_GAIN * soles.heights(data))
-
-
-def _colliding_geoms(model: mujoco.MjModel, foot: int) -> list[int]:
-    """Return the shapes of a body and of what hangs on it, those only for show left out."""
-    family = {foot}
-    for body in range(foot + 1, model.nbody):  # MuJoCo numbers parents before children
-        if model.body_parentid[body] in family:
-            family.add(body)
-    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return [int(geom) for geom in np.flatnonzero(collides) if model.geom_bodyid[geom] in family]
+        data = configuration.data
+        jacobians = np.empty((len(self._bodies), 3, self._model.nv))
+        for jacobian, *at in zip(jacobians, self._centers(data), self._bodies, strict=True):
+            mujoco.mj_jac(self._model, data, jacobian, None, *at)
+        return mink.Constraint(G=-jacobians[:, 2], h=_GAIN * self.heights(data))
 
 
 def _extremes(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float]:
     """Return the extreme points of a shape in its body's frame, (n, 3), and a radius, in m."""
-    size = model.geom_size[geom]
-    kind = mujoco.mjtGeom(model.geom_type[geom])
-    radius = 0.0 if kind == mujoco.mjtGeom.mjGEOM_BOX else float(size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        points = np.zeros((1, 3))
-    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        points = np.array([[0, 0, -size[1]], [0, 0, size[1]]])
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        points = np.array(list(itertools.product((-1, 1), repeat=3))) * size
-    else:
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(model.geom_type[geom])
+    extents = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: np.zeros(3),
+        mujoco.mjtGeom.mjGEOM_CAPSULE: np.array([0, 0, size[1]]),
+        mujoco.mjtGeom.mjGEOM_BOX: size,
+    }
+    if kind not in extents:
         name, shape = model.geom(geom).name, kind.name.removeprefix("mjGEOM_").lower()
         raise SilemError(f"shape {name!r} of a foot is a {shape}; allowed: sphere, capsule, box")
+    points = np.unique(list(itertools.product((-1, 1), repeat=3)) * extents[kind], axis=0)
+    radius = 0.0 if kind == mujoco.mjtGeom.mjGEOM_BOX else float(size[0])
     frame = np.empty(9)
     mujoco.mju_quat2Mat(frame, model.geom_quat[geom])
     return model.geom_pos[geom] + points @ frame.reshape(3, 3).T, radius

@@ -5,15 +5,12 @@ after scaling them to the learner. Here (page "The method", equation eq-targets)
 through one similarity transform of the demonstrator's world, by the ratio of the leg lengths:
 keeping the forward motion instead would drag every planted foot over the floor at (1 - ratio)
 times the walking speed. The torso follows the middle of the hips by the ratio of the spines, the
-hands the shoulders by that of the arms.
-
-Inverse kinematics poses the learner, frame by frame, each starting from the pose before: so the
-motion is continuous. What could not be reached is reported for every frame, not hidden.
+hands the shoulders by that of the arms. What could not be reached is reported for every frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -32,23 +29,17 @@ from silem.motion import kinematics, retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import Motion, published_motion, published_name
 from silem.motion.features import POINTS, skeletal_features
-from silem.motion.kinematics import SIDES, FloorLimit, Soles
+from silem.motion.kinematics import SIDES, Soles
 from silem.util.errors import SilemError
 
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
-
-TARGETS = ("torso", "left_hand", "right_hand", "left_foot", "right_foot")
-"""The targets of the inverse kinematics, each a landmark."""
 
 STANCE_SPEED_M_S = 0.3
 """A demonstrator's foot slower than this, horizontally, stands. (In 08_01 a standing foot moves
 at up to 0.2 m/s, a swinging one at up to 4.7 m/s.)"""
 
-TOLERANCE_M = 0.03
-"""A frame whose targets are all reached to within this counts as converged."""
-
-LIMIT_TOLERANCE_RAD = 1e-3
-"""A joint closer to a limit than this is at it."""
+TOLERANCE_M = 0.03  #: a frame whose targets are all reached to within this counts as converged
+LIMIT_TOLERANCE_RAD = 1e-3  #: a joint closer to a limit than this is at it
 
 RETARGETING_VERSION = 1
 """How a motion becomes a learner's: to be raised, and all published anew, when numbers change."""
@@ -61,6 +52,7 @@ _COSTS = {  # of position (per m) and orientation (per rad): what is out of reac
     "left_foot": (10.0, 0.0),
     "right_foot": (10.0, 0.0),
 }
+TARGETS = tuple(_COSTS)  #: of the inverse kinematics, each a landmark
 _STANDING_COST = 0.004  # towards the standing pose, in what the targets leave open
 _PREVIOUS_COST = 0.025  # towards the frame before
 _BELOW_FLOOR_COST = 100.0  # counts in whether a step is accepted
@@ -81,21 +73,13 @@ def learner(name: str) -> MujocoBody:
 
 
 class Limbs(NamedTuple):
-    """Lengths between a skeleton's landmarks in m, or ratios of two skeletons' lengths.
+    """Lengths between a skeleton's landmarks in m, or ratios of two skeletons' lengths."""
 
-    Attributes:
-        leg: Hip to knee to foot, mean of both sides.
-        left_arm: Shoulder to elbow to hand.
-        right_arm: Shoulder to elbow to hand.
-        spine: Middle of the hips to torso.
-        hips: Left hip to right hip.
-    """
-
-    leg: float
-    left_arm: float
+    leg: float  #: hip to knee to foot, mean of both sides
+    left_arm: float  #: shoulder to elbow to hand
     right_arm: float
-    spine: float
-    hips: float
+    spine: float  #: middle of the hips to torso
+    hips: float  #: left hip to right hip
 
     @classmethod
     def of(cls, points: np.ndarray) -> Limbs:
@@ -105,36 +89,29 @@ class Limbs(NamedTuple):
         a bent limb looks shorter than it is, and a single broken frame should not matter.
         """
 
-        def length(*chain: np.ndarray) -> float:
-            parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1)
-            return float(np.quantile(parts.sum(axis=0), 0.95))
+        def lengths(*chain: np.ndarray) -> list[float]:
+            parts = np.linalg.norm(np.diff(np.stack(chain), axis=0), axis=-1).sum(axis=0)
+            found: list[float] = np.quantile(parts.reshape(-1, parts.shape[-1]), 0.95, 0).tolist()
+            return found
 
-        def limbs(*names: str) -> list[float]:
-            return [length(*(_at(points, f"{side}_{name}") for name in names)) for side in SIDES]
-
-        leg = sum(limbs("hip", "knee", "foot")) / 2
-        left_arm, right_arm = limbs("shoulder", "elbow", "hand")
-        spine = length(_mid_hip(points), _at(points, "torso"))
-        hips = length(*(_at(points, f"{side}_hip") for side in SIDES))
-        return cls(leg, left_arm, right_arm, spine, hips)
+        hips, torso = _both(points, "hip"), points[..., :1, :]
+        legs = lengths(hips, _both(points, "knee"), _both(points, "foot"))
+        arms = lengths(*(_both(points, name) for name in ("shoulder", "elbow", "hand")))
+        spine, width = lengths(hips.mean(-2, keepdims=True), torso), lengths(*np.split(hips, 2, -2))
+        return cls(sum(legs) / 2, *arms, *spine, *width)
 
 
 class Targets(NamedTuple):
     """What the inverse kinematics has to reach.
 
-    Attributes:
-        positions: (T, 5, 3) in the world in m, in the order of `TARGETS`; floor at z = 0, the
-            walk starts above the origin.
-        stance: (T, 2) whether the demonstrator's left and right foot stands.
-        ratios: The learner's limbs over the demonstrator's.
-        raised_m: (T, 2) by how much a foot's target was raised, because the scaled motion would
-            have put it lower than it is on the standing learner.
+    A foot's target is raised where the scaled motion would have put it lower than it is on the
+    standing learner.
     """
 
-    positions: np.ndarray
-    stance: np.ndarray
-    ratios: Limbs
-    raised_m: np.ndarray
+    positions: np.ndarray  #: (T, 5, 3) of `TARGETS` in m; floor at z = 0, from above the origin
+    stance: np.ndarray  #: (T, 2) whether the demonstrator's left and right foot stands
+    ratios: Limbs  #: the learner's limbs over the demonstrator's
+    raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised
 
 
 def targets(motion: Motion, body: MujocoBody) -> Targets:
@@ -144,46 +121,40 @@ def targets(motion: Motion, body: MujocoBody) -> Targets:
         SilemError: The motion holds NaN or infinity.
     """
     for name, array in (("points", motion.points), ("torso_axes", motion.torso_axes)):
-        broken = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
-        if broken.any():
-            frame = int(np.argmax(broken))
-            raise SilemError(f"motion {motion.name}: {name} of frame {frame} hold NaN or infinity")
+        finite = np.isfinite(array).all(axis=(1, 2))
+        if not finite.all():
+            where = f"motion {motion.name}: {name} of frame {finite.argmin()}"
+            raise SilemError(f"{where} hold NaN or infinity")
     model = _compiled(body)
     standing = np.array([body.standing_pose]), np.zeros((1, model.nv))
     (points,), (torso_axes,), _ = kinematics.observe(model, body.skeleton, *standing)
     demonstrator, own = Limbs.of(motion.points), Limbs.of(points)
     ratios = Limbs(*np.divide(own, demonstrator).tolist())
-    stance, feet = standing_feet(motion), _feet(motion.points)
-    foot_height = float(_feet(points)[:, 2].mean())
+    stance, feet = standing_feet(motion), _both(motion.points, "foot")
+    foot_height = float(_both(points, "foot")[:, 2].mean())
     # Where the landmark of a foot is when that foot stands: the median. Targets below it are
     # raised to it, for in the clips a foot that stands sinks and rises by 1 cm or 2, and on the
     # learner it should be on the floor, not above it.
     ground = [
-        float(np.median(heights[stands]) if stands.any() else heights.min())
+        [float(np.median(heights[stands]) if stands.any() else heights.min())]
         for heights, stands in zip(feet[..., 2].T, stance.T, strict=True)
     ]
-    start = _mid_hip(motion.points)[0] * _HORIZONTAL
+    mid_hip = _both(motion.points, "hip").mean(axis=-2, keepdims=True)
 
-    def moved(world: np.ndarray, ground_m: float) -> np.ndarray:
+    def moved(world: np.ndarray, ground_m: Any) -> np.ndarray:
+        start = mid_hip[0] * _HORIZONTAL
         return ratios.leg * (world - start - ground_m * _UP) + foot_height * _UP
 
-    spine = _at(motion.points, "torso") - _mid_hip(motion.points)
-    torso = moved(_mid_hip(motion.points), sum(ground) / 2) + ratios.spine * spine
-    hands = [
-        torso
-        + torso_axes @ (_at(points, f"{side}_shoulder") - points[0]) @ motion.torso_axes
-        + ratio * (_at(motion.points, f"{side}_hand") - _at(motion.points, f"{side}_shoulder"))
-        for side, ratio in zip(SIDES, (ratios.left_arm, ratios.right_arm), strict=True)
-    ]
+    torso = moved(mid_hip, np.mean(ground)) + ratios.spine * (motion.points[:, :1] - mid_hip)
+    shoulders = (_both(points, "shoulder") - points[0]) @ torso_axes.T @ motion.torso_axes
+    arms = _both(motion.points, "hand") - _both(motion.points, "shoulder")
+    hands = torso + shoulders + np.array([[ratios.left_arm], [ratios.right_arm]]) * arms
     left = motion.torso_axes[:, 1].mean(axis=0) * _HORIZONTAL
     wider = (own.hips - ratios.leg * demonstrator.hips) / 2 * (left / np.linalg.norm(left))
-    moved_feet = [
-        moved(feet[:, side], ground[side]) + sign * wider for side, sign in enumerate((1, -1))
-    ]
-    positions = np.stack([torso, *hands, *moved_feet], axis=1)
-    raised = np.maximum(foot_height - positions[:, 3:, 2], 0)
-    positions[:, 3:, 2] += raised
-    return Targets(positions, stance, ratios, raised)
+    feet = moved(feet, np.array(ground)) + np.array([[1], [-1]]) * wider
+    raised = np.maximum(foot_height - feet[..., 2], 0)
+    feet[..., 2] += raised
+    return Targets(np.concatenate([torso, hands, feet], axis=1), stance, ratios, raised)
 
 
 def standing_feet(motion: Motion) -> np.ndarray:
@@ -193,20 +164,13 @@ def standing_feet(motion: Motion) -> np.ndarray:
 
 def foot_speeds_m_s(points: np.ndarray, rate_hz: float) -> np.ndarray:
     """Return how fast the left and right foot of landmarks (T, P, 3) move horizontally, (T, 2)."""
-    velocity = np.gradient(_feet(points)[..., :2], 1 / rate_hz, axis=0)
+    velocity = np.gradient(_both(points, "foot")[..., :2], 1 / rate_hz, axis=0)
     return np.linalg.norm(velocity, axis=-1)
 
 
-def _at(points: np.ndarray, name: str) -> np.ndarray:
-    return points[..., POINTS.index(name), :]
-
-
-def _feet(points: np.ndarray) -> np.ndarray:
-    return np.stack([_at(points, f"{side}_foot") for side in SIDES], axis=-2)
-
-
-def _mid_hip(points: np.ndarray) -> np.ndarray:
-    return (_at(points, "left_hip") + _at(points, "right_hip")) / 2
+def _both(points: np.ndarray, name: str) -> np.ndarray:
+    """Return the left and the right landmark of a name, (..., 2, 3)."""
+    return points[..., [POINTS.index(f"{side}_{name}") for side in SIDES], :]
 
 
 def _compiled(body: MujocoBody) -> mujoco.MjModel:
@@ -230,7 +194,7 @@ def _solve(
     previous, posture = (mink.PostureTask(model, c) for c in (_PREVIOUS_COST, _STANDING_COST))
     posture.set_target(standing)
     tasks = [*frames, previous, posture]
-    limits = [mink.ConfigurationLimit(model), FloorLimit(model, soles)]
+    limits = [mink.ConfigurationLimit(model), soles]
     columns = ["xyz".index(axis) for axis in body.skeleton.axes]
 
     def cost() -> float:
@@ -277,45 +241,27 @@ def _solve(
 
 @dataclass(frozen=True)
 class IKResult:
-    """A motion retargeted to a body, with what could not be reached.
+    """A motion of T frames retargeted to a body with J hinges, and what could not be reached.
 
-    Attributes:
-        body: Name of the learner's body.
-        motion: Name of the demonstrator's motion.
-        rate_hz: Frames per second.
-        joint_names: Names of the hinges, J.
-        ratios: The learner's limb lengths over the demonstrator's.
-        features: (T, F) skeletal features by the learner's own g.
-        qpos: (T, nq) positions; the walk starts above the world's origin, the floor is z = 0.
-        qvel: (T, nv) velocities, central differences.
-        points: (T, P, 3) landmarks in the world, in m.
-        residuals: (T, 5) distance of each landmark from its target in m, in the order of
-            `TARGETS`.
-        torso_tilt_rad: (T,) angle between the torso's orientation and its target.
-        converged: (T,) whether every residual is within the tolerance.
-        at_limit: (T, J) whether a hinge is at a limit.
-        foot_skate_m_s: (T, 2) horizontal speed of the left and right foot while the
-            demonstrator's stands; NaN while it swings.
-        raised_m: (T, 2) by how much a foot's target was raised to keep the sole off the floor.
-        sole_height_m: (T, 2) height of each foot's lowest point.
+    The floor is z = 0. A foot's skate is its horizontal speed while the demonstrator's stands.
     """
 
     body: str
-    motion: str
-    rate_hz: float
-    joint_names: tuple[str, ...]
-    ratios: Limbs
-    features: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    points: np.ndarray
-    residuals: np.ndarray
-    torso_tilt_rad: np.ndarray
-    converged: np.ndarray
-    at_limit: np.ndarray
-    foot_skate_m_s: np.ndarray
-    raised_m: np.ndarray
-    sole_height_m: np.ndarray
+    motion: str  #: name of the demonstrator's motion
+    rate_hz: float  #: frames per second
+    joint_names: tuple[str, ...]  #: of the J hinges
+    ratios: Limbs  #: the learner's limbs over the demonstrator's
+    features: np.ndarray  #: (T, F) skeletal features by the learner's own g
+    qpos: np.ndarray  #: (T, nq) positions; the walk starts above the world's origin
+    qvel: np.ndarray  #: (T, nv) velocities, central differences
+    points: np.ndarray  #: (T, P, 3) landmarks in the world, in m
+    residuals: np.ndarray  #: (T, 5) distance of each of `TARGETS` from where it should be, in m
+    torso_tilt_rad: np.ndarray  #: (T,) angle between the torso's orientation and its target
+    converged: np.ndarray  #: (T,) whether every residual is within the tolerance
+    at_limit: np.ndarray  #: (T, J) whether a hinge is at a limit
+    foot_skate_m_s: np.ndarray  #: (T, 2) of the left and right foot; NaN while it swings
+    raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised (see `Targets`)
+    sole_height_m: np.ndarray  #: (T, 2) height of each foot's lowest point
 
 
 _PUBLISHED = [field.name for field in fields(IKResult)][6:]
@@ -337,11 +283,10 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
     residuals = np.linalg.norm(reached - wanted.positions, axis=-1)
     converged = (residuals <= TOLERANCE_M).all(axis=1)
     if not converged.any():
-        worst = int(np.argmax(residuals[0]))
         raise SilemError(
-            f"{body.name} cannot follow {motion.name} in any frame: in frame 0 its "
-            f"{TARGETS[worst]} stays {1000 * residuals[0, worst]:.0f} mm from its target, "
-            f"allowed: {1000 * TOLERANCE_M:g} mm"
+            f"{body.name} cannot follow {motion.name} in any frame: in frame 0 its"
+            f" {TARGETS[residuals[0].argmax()]} stays {1000 * residuals[0].max():.0f} mm from its"
+            f" target, allowed: {1000 * TOLERANCE_M:g} mm"
         )
     cosine = (np.einsum("tij,tij->t", torso_axes, motion.torso_axes) - 1) / 2
     hinges = np.flatnonzero(model.jnt_limited)
@@ -373,29 +318,25 @@ def summary(result: IKResult) -> dict[str, Any]:
     Foot skate is None for a foot that never stands; the shares of frames in which a joint is at a
     limit are of those that ever are.
     """
-    residuals_mm = dict(zip(TARGETS, 1000 * result.residuals.T, strict=True))
-    skates = dict(zip(SIDES, result.foot_skate_m_s.T, strict=True))
-    shares = dict(zip(result.joint_names, result.at_limit.mean(axis=0), strict=True))
+    residuals_mm = 1000 * result.residuals
+    skates = np.ma.masked_invalid(result.foot_skate_m_s)
     way_m = np.linalg.norm(result.points[-1, 0, :2] - result.points[0, 0, :2])
+    at_limit = _rounded(result.joint_names, result.at_limit.mean(axis=0))
     return {
-        "residual_mean_mm": {name: _rounded(mm.mean()) for name, mm in residuals_mm.items()},
-        "residual_worst_mm": {name: _rounded(mm.max()) for name, mm in residuals_mm.items()},
-        "converged_share": _rounded(result.converged.mean()),
-        "torso_tilt_worst_deg": _rounded(np.degrees(result.torso_tilt_rad.max())),
-        "foot_skate_mean_m_s": {side: _standing(np.mean, v) for side, v in skates.items()},
-        "foot_skate_worst_m_s": {side: _standing(np.max, v) for side, v in skates.items()},
-        "speed_m_s": _rounded(way_m * result.rate_hz / (len(result.points) - 1)),
-        "at_limit_share": {name: _rounded(share) for name, share in shares.items() if share > 0},
+        "residual_mean_mm": _rounded(TARGETS, residuals_mm.mean(axis=0)),
+        "residual_worst_mm": _rounded(TARGETS, residuals_mm.max(axis=0)),
+        "converged_share": round(float(result.converged.mean()), 3),
+        "torso_tilt_worst_deg": round(float(np.degrees(result.torso_tilt_rad.max())), 3),
+        "foot_skate_mean_m_s": _rounded(SIDES, skates.mean(axis=0)),
+        "foot_skate_worst_m_s": _rounded(SIDES, skates.max(axis=0)),
+        "speed_m_s": round(float(way_m * result.rate_hz / (len(result.points) - 1)), 3),
+        "at_limit_share": {name: share for name, share in at_limit.items() if share > 0},
     }
 
 
-def _standing(of: Callable[[np.ndarray], Any], speeds: np.ndarray) -> float | None:
-    standing = speeds[~np.isnan(speeds)]
-    return _rounded(of(standing)) if standing.size else None
-
-
-def _rounded(value: float | np.floating[Any]) -> float:
-    return round(float(value), 3)
+def _rounded(names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
+    """Return rounded values by name, None for what is masked."""
+    return dict(zip(names, values.round(3).tolist(), strict=True))
 
 
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
@@ -405,10 +346,9 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
         SilemError: The clip was not published, or as `retarget_clip`, or another process is
             publishing.
     """
-    motion, source = published_motion(clip), published_name(clip)
-    written = []
+    source, written = published_name(clip), []
     with demos.publishing():
-        entry = demos.entry(source)
+        motion, entry = published_motion(clip), demos.entry(source)
         for body in BODIES:
             result = retarget_clip(motion, learner(body), progress=progress)
             extra = {array: getattr(result, array) for array in _PUBLISHED}
@@ -434,20 +374,12 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
 def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
     """Return the retargeting that was published for a body.
 
-    Raises:
-        SilemError: It was not published, or its file is damaged.
+    Raises SilemError as `silem.motion.demonstrations.load_published`.
     """
     name = retargeted(published_name(clip), body)
-    about, there = demos.entry(name), Demonstrations.load(name)
-    return IKResult(
-        body=body,
-        motion=clip,
-        rate_hz=about["rate_hz"],
-        features=there.features[0],
-        joint_names=tuple(about["joint_names"]),
-        ratios=Limbs(**about["limb_ratios"]),
-        **there.extra,
-    )
+    about, (there, _) = demos.entry(name), demos.load_published(name)
+    joints, ratios = tuple(about["joint_names"]), Limbs(**about["limb_ratios"])
+    return IKResult(body, clip, about["rate_hz"], joints, ratios, *there.features, **there.extra)
 
 
 def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.ndarray]:
@@ -457,28 +389,23 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     methods train. A hinge beyond its range is put to the limit, at rest, and the body is lifted
     until both soles are above the floor; states that fit are returned as they are.
 
-    Args:
-        name: Name of the demonstrations, for example "cmu_08_01_on_Humanoid".
-        body: The learner's body.
-
     Raises:
-        SilemError: There are no demonstrations of this name, they hold no states, or states of
-            another body or with NaN or infinity.
+        SilemError: As `silem.motion.demonstrations.load_published`, or the demonstrations hold no
+            states, or states of another body or with NaN or infinity.
     """
-    extra = Demonstrations.load(name).extra
+    extra = demos.load_published(name)[0].extra
     missing = [array for array in ("qpos", "qvel") if array not in extra]
     if missing:
         raise SilemError(f"demonstrations {name!r} hold no states: they lack {', '.join(missing)}")
-    qpos, qvel, model = extra["qpos"].copy(), extra["qvel"].copy(), _compiled(body)
+    qpos, qvel, model = extra["qpos"], extra["qvel"], _compiled(body)
     if qpos.shape[1:] != (model.nq,) or qvel.shape[1:] != (model.nv,):
         raise SilemError(
             f"demonstrations {name!r} hold states of shape {qpos.shape[1:]} and {qvel.shape[1:]};"
             f" {body.name} needs ({model.nq},) and ({model.nv},)"
         )
-    finite = np.isfinite(qpos).all(axis=1) & np.isfinite(qvel).all(axis=1)
+    finite = np.isfinite(np.hstack([qpos, qvel])).all(axis=1)
     if not finite.all():
-        frame = int(np.argmin(finite))
-        raise SilemError(f"demonstrations {name!r}: state {frame} holds NaN or infinity")
+        raise SilemError(f"demonstrations {name!r}: state {finite.argmin()} holds NaN or infinity")
     hinges = np.flatnonzero(model.jnt_limited)
     places, rates = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     allowed = np.clip(qpos[:, places], *model.jnt_range[hinges].T)

@@ -7,50 +7,87 @@ that the scorecard checks all come from here, each with the table or sentence it
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from silem.paper.types import PaperNumber, PaperTable, Symbol
 from silem.util.errors import SilemError, choose
-
-KINDS = ("common", "grid", "best", "result")
 
 # Methods of this project whose best combination the paper prints under another method's name.
 # Table 1's MLP takes SILEM's own combination: the paper gives it none.
 _TABLE_METHOD = {"silem-mlp": "silem"}
-
-# A body that the paper has no row for takes HalfCheetah0's row of SILEM's table, the one row that
-# agrees with the common PPO table (tab2) in every entry the two share.
-_DEFAULT_ROW = ("HC0", "silem")
 _TRANSFORM_SYMBOLS = ("N_G", "d", "w_d", "w_b")
 
 # The experts' own bodies: here "own expert" and "the family's expert" are the same demonstrations.
 _ORIGINAL_BODIES = ("HC0", "Ant0")
 
 
+@dataclass(frozen=True)
+class PaperTable:
+    """One table as the paper prints it."""
+
+    key: str  #: name of the table here; unique, where the supplement uses one label twice
+    label: str  #: the LaTeX source's label
+    source: str  #: ``"paper"`` or ``"supplement"``
+    number: int  #: within its source, in order of appearance
+    section: str  #: title of the section it stands in
+    kind: str  #: ``"common"``, ``"grid"``, ``"best"`` or ``"result"``
+    caption: str
+    rows: Sequence[Mapping[str, Any]]  #: one mapping of column to printed value for each row
+    methods: Sequence[str] = ()  #: those it holds for ("best" and "grid")
+    families: Sequence[str] = ()  #: families of bodies it holds for ("common")
+    bodies: Sequence[str] = ()  #: those it holds for ("grid")
+    grid: str = ""  #: key of the grid that a table of best combinations was searched on
+    note: str = ""  #: what is odd about it, if anything
+
+    @property
+    def reference(self) -> str:
+        """Its name for a reader, e.g. ``"supplement, Table 16 (tab4.1)"``."""
+        return f"{self.source}, Table {self.number} ({self.label})"
+
+    @property
+    def columns(self) -> list[str]:
+        """Every column, in the order printed."""
+        return list(dict.fromkeys(column for row in self.rows for column in row))
+
+
+@dataclass(frozen=True)
+class PaperNumber:
+    """One number from a sentence of the paper."""
+
+    name: str  #: name of the number here
+    value: Any  #: the number, or a list of numbers
+    meaning: str  #: what it measures
+    where: str  #: section, figure or caption it stands in
+    quote: str  #: the words it was read from
+    unit: str = ""
+    note: str = ""  #: what is odd about it, if anything
+    in_words: bool = False  #: whether the paper spells the number out
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """One symbol of the paper and this project's name for it."""
+
+    symbol: str  #: in ASCII, as the tables' columns spell it
+    latex: str  #: as the paper sets it
+    meaning: str  #: the paper's words for it
+    parameter: str  #: this project's name of the parameter
+    unit: str = ""
+    real: bool = False  #: whether values are real numbers even if printed without a decimal point
+
+
 @cache
 def tables() -> dict[str, PaperTable]:
-    """Load every table of the paper and its supplement, in the order they are printed.
-
-    Returns:
-        Mapping from the table's key to the table.
-
-    Raises:
-        SilemError: If a TOML file is missing, broken, or uses a key twice.
-    """
-    found: dict[str, PaperTable] = {}
-    for name in ("results", "common", "half_cheetah", "ant", "humanoids"):
-        for entry in _read(name)["table"]:
-            fields: dict[str, Any] = {
-                k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()
-            }
-            table = PaperTable(**fields)
-            if table.key in found:
-                raise SilemError(f"silem/paper: table {table.key!r} is given twice")
-            choose("kind of table", table.kind, KINDS)
-            found[table.key] = table
-    return dict(sorted(found.items(), key=lambda item: (item[1].source, item[1].number)))
+    """Load every table of the paper and its supplement by key, in the order they are printed."""
+    found = [
+        PaperTable(**entry)
+        for name in ("results", "common", "half_cheetah", "ant", "humanoids")
+        for entry in _read(name)["table"]
+    ]
+    return {table.key: table for table in sorted(found, key=lambda t: (t.source, t.number))}
 
 
 @cache
@@ -98,35 +135,20 @@ def common(family: str = "halfcheetah") -> dict[str, Any]:
 
 
 def best_table(body: str, method: str) -> PaperTable | None:
-    """Find the table that prints the best combination of a body and method.
-
-    Args:
-        body: This project's name of the body, e.g. ``"HC1"``.
-        method: A method of this project.
-
-    Returns:
-        The table, or None where the paper has no row for them.
-    """
-    wanted = _TABLE_METHOD.get(method, method)
-    for candidate in tables().values():
-        if candidate.kind == "best" and wanted in candidate.methods:
-            if any(_body_names()[row["body"]] == body for row in candidate.rows):
-                return candidate
-    return None
+    """Return the table with the best combination of a body ("HC1") and method, or None."""
+    found = _best(body, method)
+    return found[0] if found else None
 
 
 def best_combination(body: str, method: str, demonstrations: str = "") -> dict[str, Any]:
     """Return the hyper-parameters that the supplement found best for one cell of the study.
 
-    ``silem``, ``silem-minus`` and ``silem-minus-own`` have a table each (HalfCheetah: tab4.1 to
-    tab4.3, Ant: tab3.1 to tab3.3); ``silem-mlp`` takes SILEM's; ``ppo`` the common table (tab2);
-    ``random`` has none. A body that the paper does not know takes HalfCheetah0's combination of
-    SILEM, which agrees with the common table.
+    Every imitator has tables of its own (HalfCheetah: tab4.1 to tab4.3, Ant: tab3.1 to tab3.3)
+    but ``silem-mlp``, which takes SILEM's.
 
     Args:
         body: The learner's body, e.g. ``"HC1"``.
-        method: ``"ppo"``, ``"random"``, ``"silem"``, ``"silem-minus"``, ``"silem-minus-own"`` or
-            ``"silem-mlp"``.
+        method: A method of this project.
         demonstrations: The expert's body. ``silem-minus`` from the learner's own expert is
             ``silem-minus-own``, except on a family's original body, where both cells exist and
             the method's name alone tells them apart.
@@ -136,26 +158,18 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
         so SILEM⁻ has no entry for the transform.
 
     Raises:
-        SilemError: If the method is unknown.
+        SilemError: If the paper has none for them.
     """
-    known = {name for t in tables().values() for name in t.methods} | set(_TABLE_METHOD)
-    choose("method", method, sorted(known | {"ppo", "random"}))
-    if method == "random":
-        return {}
-    if method == "ppo":
-        return {name: common()[name] for name in ("n_epochs", "minibatch_size")}
     if method == "silem-minus" and demonstrations == body and body not in _ORIGINAL_BODIES:
         method = "silem-minus-own"
-    row = _best_row(body, method)
-    if row is None and method.startswith("silem"):
-        row = _best_row(*_DEFAULT_ROW)
-    if row is None:
+    found = _best(body, method)
+    if found is None:
         raise SilemError(f"the paper has no hyper-parameters for {method} on {body!r}")
-    if method.startswith("silem-minus"):
-        row = {symbol: value for symbol, value in row.items() if symbol not in _TRANSFORM_SYMBOLS}
+    left_out = _TRANSFORM_SYMBOLS if method.startswith("silem-minus") else ()
     return {
         symbols()[symbol].parameter: float(value) if symbols()[symbol].real else value
-        for symbol, value in row.items()
+        for symbol, value in found[1].items()
+        if symbol not in ("body", *left_out)
     }
 
 
@@ -171,25 +185,16 @@ def grid_values(key: str) -> dict[str, list[Any]]:
     return {row["symbol"]: list(row["values"]) for row in chosen.rows}
 
 
-def _best_row(body: str, method: str) -> dict[str, Any] | None:
-    """Return the printed best combination as symbol -> value, or None where there is none."""
-    chosen = best_table(body, method)
-    for row in chosen.rows if chosen else ():
-        if _body_names()[row["body"]] == body:
-            return {symbol: value for symbol, value in row.items() if symbol != "body"}
+def _best(body: str, method: str) -> tuple[PaperTable, Mapping[str, Any]] | None:
+    """Return the table with the best combination of a body and method, and its row."""
+    for candidate in tables().values():
+        if candidate.kind == "best" and _TABLE_METHOD.get(method, method) in candidate.methods:
+            for row in candidate.rows:
+                if _read("bodies")["names"][row["body"]] == body:
+                    return candidate, row
     return None
 
 
 @cache
-def _body_names() -> dict[str, str]:
-    """Map the tables' names of bodies to this project's."""
-    return dict(_read("bodies")["names"])
-
-
 def _read(name: str) -> dict[str, Any]:
-    """Parse one file of ``silem/paper``."""
-    path = Path(__file__).with_name(f"{name}.toml")
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise SilemError(f"cannot read {path}: {error}") from error
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))

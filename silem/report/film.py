@@ -22,19 +22,18 @@ import mujoco
 import numpy as np
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
+from matplotlib.axes import Axes
 from PIL import Image, ImageDraw, ImageFont
 from tqdm import tqdm
 
 import silem
 from silem import bodies
-from silem.bodies import Body, BulletBody, MujocoBody
-from silem.envs import MujocoCamera
-from silem.envs.bullet.camera import Camera
-from silem.envs.bullet.simulator import Simulator
-from silem.envs.mujoco.simulator import Simulation, body_of
+from silem.bodies import Body, MujocoBody
+from silem.envs import Camera
+from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrator
-from silem.study.evaluate import Policy, random_policy
-from silem.study.policies import load_policy
+from silem.report import style
+from silem.study.evaluate import Policy, RandomPolicy, load_policy
 from silem.study.record import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import SilemError, choose
@@ -93,7 +92,7 @@ def rollout(
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
-    policy = policy or random_policy(found)
+    policy = policy or RandomPolicy(found)
     if hasattr(policy, "reseed"):
         policy.reseed(seeding.child_seed(seed, "video policy"))
     made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
@@ -170,29 +169,35 @@ def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> n
             a humanoid, or nothing can be drawn offscreen here.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    if isinstance(found, MujocoBody):
-        if span_m is not None:
-            raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
-        return _pictures(found, np.array([found.standing_pose]), size)[0]
-    assert isinstance(found, BulletBody)
-    with closing(Simulator(found)) as simulator:
-        simulator.reset([min(max(0.0, low), high) for low, high in simulator.limits])
-        return Camera(simulator, *size, span_m).picture()
+    if isinstance(found, MujocoBody) and span_m is not None:
+        raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
+    with closing(Camera(found, *size, span_m)) as camera:
+        return camera.picture()
+
+
+def portrait(axes: Axes, body: Body | str, size: Size, span_m: float | None = None) -> None:
+    """Show a body at rest (see `still`), or say that nothing can be drawn here."""
+    try:
+        style.picture(axes, still(body, size, span_m))
+    except SilemError:
+        style.picture(axes, np.full((*size[::-1], 3), 255, np.uint8))
+        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
+        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
 def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> np.ndarray:
     """Picture (H, W, 3) runners at rest on one scale, each with the length that it varies by."""
-    stills = {
-        f"{name}: {bodies.get(name).length[1]:g} m": Clip(still(name, _GALLERY, span_m)[None], 1)
-        for name in names
-    }
+    blank = bool(why_no_pictures(names[0]))
+    stills = {}
+    for name in names:
+        label = f"{name}: {bodies.get(name).length[1]:g} m{', not drawn here' if blank else ''}"
+        white = np.full((*_GALLERY[::-1], 3), 255, np.uint8)
+        stills[label] = Clip((white if blank else still(name, _GALLERY, span_m))[None], 1)
     return grid(stills, n_columns, 2 * _LABEL_SIZE).frames[0]
 
 
 def why_no_pictures(body: str) -> str:
-    """Return why a body cannot be pictured here, "" if it can: humanoids need OpenGL offscreen."""
-    if not isinstance(bodies.get(body), MujocoBody):
-        return ""
+    """Return why a body cannot be pictured here, "" if it can: that needs OpenGL offscreen."""
     try:
         still(body, (8, 8))
     except SilemError as error:
@@ -202,13 +207,8 @@ def why_no_pictures(body: str) -> str:
 
 def _pictures(body: MujocoBody, poses: np.ndarray, size: Size) -> np.ndarray:
     """Picture a humanoid in each of some poses (T, nq): (T, H, W, 3)."""
-    simulation = Simulation(body, 1)
-    with closing(MujocoCamera(simulation, *size)) as camera:
-        at_rest, pictures = np.zeros(simulation.model.nv), []
-        for pose in poses:
-            simulation.place(0, pose, at_rest)
-            pictures.append(camera.picture())
-        return np.stack(pictures)
+    with closing(Camera(body, *size)) as camera:
+        return np.stack([camera.picture(pose) for pose in poses])
 
 
 # ---------------------------------------------------------------- cutting

@@ -128,7 +128,7 @@ def film(_: str = "") -> str:
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"
         f" {parts[0]}; without the transform, {parts[1]}."
-        f" `python -m silem render {FILM} --out walk.mp4` films it again.*"
+        f" `silem render {FILM} --out walk.mp4` films it again.*"
     )
 
 

@@ -175,12 +175,19 @@ def play(clip: Clip | None, caption: str) -> None:
     _display_html(page)
 
 
-def film(make: Callable[[], Clip], caption: str) -> None:
-    """Make and play a clip of humanoids; where nothing can be drawn offscreen, say why instead."""
+def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
+    """Make, play and return a clip; where nothing can be drawn offscreen, say why instead."""
     if why := why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
-    else:
-        play(make(), caption)
+        return None
+    clip = make()
+    play(clip, caption)
+    return clip
+
+
+def show_strip(clip: Clip | None) -> None:
+    """Show a clip on paper: equally spaced pictures of it; say so where there is none."""
+    note("No pictures: there is no clip.") if clip is None else show_picture(films.strip(clip))
 
 
 def play_trials(

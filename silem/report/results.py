@@ -16,8 +16,7 @@ from silem import bodies
 from silem.motion.features import FEATURES
 from silem.report.loading import COLUMNS, KEYS, load_records
 from silem.study import runs
-from silem.study.curve import COLUMNS as CURVE_COLUMNS
-from silem.study.record import CURVE, TRANSFORM, RunRecord
+from silem.study.record import CURVE, CURVE_COLUMNS, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES
 from silem.study.studies import cells, seeds_of
 from silem.util import files
@@ -193,7 +192,7 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
 
 
 def load_curve(run_id: str) -> pd.DataFrame:
-    """Load a run's learning curve (columns of `silem.study.curve`), NaN where blank or not kept.
+    """Load a run's learning curve (columns of `silem.study.record`), NaN where blank or not kept.
 
     Raises:
         SilemError: There is no such run, or its curve is not the file that was recorded.

@@ -1,7 +1,8 @@
 """Campaigns: many runs on one machine, in a pool of worker processes.
 
-Every worker is one ``python -m silem ...`` command. A worker that is killed is started again and
-goes on from its checkpoint; a campaign that is stopped goes on where it was when asked for again.
+Every worker is one ``silem ...`` command. A worker that is killed is started again and goes on from
+its checkpoint; a campaign that is stopped goes on where it was when asked for again. However it
+ends, its workers end with it.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+import time
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
@@ -22,35 +23,25 @@ from silem import bodies
 from silem.bodies import own
 from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
-from silem.study.checkpoint import PROGRESS
+from silem.study.checkpoint import CHECKPOINT, PROGRESS
 from silem.study.config import RunConfig
-from silem.study.interrupt import sigterm_as_interrupt
 from silem.study.record import RunRecord
-from silem.study.studies import Cell, cells, study_configs
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
-__all__ = ["Cell", "Task", "campaign", "cells", "plan", "study_configs"]
-
+_POLL_S = 0.2
 MAX_KILLS = 5
-"""How often a worker may be killed by a signal before its task counts as failed."""
+"""How often in a row a worker may be killed before its checkpoint advances, or its task failed."""
 
 
 @dataclass
 class Task:
-    """One command for a worker.
+    """One command for a worker."""
 
-    Attributes:
-        name: A run's id, or "demonstrations HC0".
-        arguments: What follows ``python -m silem``.
-        needs: Names of the tasks that must be done before.
-        folder: Where its log goes and its progress file may stand.
-    """
-
-    name: str
-    arguments: list[str]
-    folder: Path
-    needs: set[str] = field(default_factory=set)
+    name: str  # a run's id, or "demonstrations HC0"
+    arguments: list[str]  # what follows ``silem``
+    folder: Path  # where its log goes and its progress file and checkpoint may stand
+    needs: set[str]  # names of the tasks that must be done before
 
 
 def plan(configs: Sequence[RunConfig]) -> list[Task]:
@@ -64,40 +55,34 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
             `configs`; or a finished run was made with others than those there are now.
     """
     tasks: dict[str, Task] = {}
-    waiting = {config.run_id for config in configs if runs.finished(config) is None}
-    for config in configs:
-        if config.run_id not in waiting or config.run_id in tasks:
-            continue
+    waiting = {config.run_id: config for config in configs if runs.finished(config) is None}
+    for run_id, config in waiting.items():
         needs = set()
-        body = config.demonstrations
-        if body and not is_published(body):
-            recording = _recording(config, waiting)
+        if config.demonstrations and not is_published(config.demonstrations):
+            recording = _recording(config, waiting.keys())
             tasks.setdefault(recording.name, recording)
             needs.add(recording.name)
         folder = runs.run_folder(config)
-        arguments = ["run", "--quiet", "--wait", "--config", str(folder / "config.json")]
-        tasks[config.run_id] = Task(config.run_id, arguments, folder, needs)
-    for config in configs:
-        if config.run_id in tasks:
-            files.write_json(runs.run_folder(config) / "config.json", config.to_dict())
+        arguments = ["run", "--wait", "--config", str(folder / "config.json")]
+        tasks[run_id] = Task(run_id, arguments, folder, needs)
+    for config in waiting.values():
+        files.write_json(runs.run_folder(config) / "config.json", config.to_dict())
     return list(tasks.values())
 
 
-def _recording(config: RunConfig, waiting: set[str]) -> Task:
+def _recording(config: RunConfig, waiting: Set[str]) -> Task:
     """Return the task that records the demonstrations that a run needs."""
-    name, budget = config.demonstrations, config.budget
+    name, budget = config.demonstrations, config.budget.base_name
     body, trial = demonstrate.expert_of(name)
     runs.check_made_by_an_expert(body)
-    needed = demonstrate.experts(body, budget.base_name)
-    if trial is not None:
-        needed = [expert for expert in needed if expert.seed == trial]
+    needed = [e for e in demonstrate.experts(body, budget) if trial in (None, e.seed)]
     for expert in needed:
         if expert.run_id not in waiting and runs.find(expert.run_id) is None:
             raise SilemError(
                 f"{config.run_id} needs demonstrations of {name}, and the expert {expert.run_id} is"
                 f" neither finished nor part of this campaign; first: {expert.command}"
             )
-    arguments = ["demonstrations", "--quiet", "--body", body, "--budget", budget.base_name]
+    arguments = ["demonstrations", "--body", body, "--budget", budget]
     if trial is not None:
         arguments += ["--trial", str(trial)]
     folder = paths.runs_dir() / config.study / f"demonstrations_{name}"
@@ -115,9 +100,6 @@ def campaign(
         n_workers: Worker processes at a time; each keeps one core busy.
         progress: Show one overall bar, and a line per running run.
 
-    Returns:
-        The records, in the order of `configs`.
-
     Raises:
         SilemError: As `plan`, before anything starts; or some runs failed, after all others were
             finished.
@@ -127,7 +109,7 @@ def campaign(
         raise SilemError(f"workers must be 1 or more, not {n_workers}")
     pool = _Pool(plan(configs), n_workers, progress, total=len(configs))
     try:
-        with sigterm_as_interrupt():
+        with runs.sigterm_as_interrupt():
             pool.work()
     except KeyboardInterrupt:
         message = "stopped the campaign and its workers; the same command goes on"
@@ -144,10 +126,8 @@ class _Pool:
         self.failures: dict[str, str] = {}
         self._pending = tasks
         self._done: set[str] = set()
-        self._running: dict[Future[str | None], Task] = {}
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, _Worker] = {}
         self._n_workers = n_workers
-        self._stopping = False
         todo = sum(task.arguments[0] == "run" for task in tasks)
         hidden = not progress
         self._overall = tqdm(
@@ -160,24 +140,29 @@ class _Pool:
 
     def work(self) -> None:
         """Run everything; stops the workers when interrupted."""
-        with ThreadPoolExecutor(self._n_workers) as executor:
-            try:
-                while self._pending or self._running:
-                    self._submit_ready(executor)
-                    finished, _ = wait(self._running, timeout=1.0, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        self._settle(self._running.pop(future), future.result())
-                    self._show()
-            except BaseException:
-                self._stopping = True
-                for process in list(self._processes.values()):
-                    process.send_signal(signal.SIGTERM)
-                raise
-            finally:
-                for bar in (*self._lines, self._overall):
-                    bar.close()
+        try:
+            while self._pending or self._running:
+                self._start_ready()
+                time.sleep(_POLL_S)
+                for worker in list(self._running.values()):
+                    if worker.ended():
+                        del self._running[worker.task.name]
+                        self._settle(worker.task, worker.failure)
+                lines = [_describe(worker.task) for worker in self._running.values()]
+                for i, bar in enumerate(self._lines):
+                    bar.set_description_str(lines[i] if i < len(lines) else "")
+                self._overall.refresh()
+        except BaseException:
+            for worker in self._running.values():
+                worker.process.send_signal(signal.SIGTERM)
+            for worker in self._running.values():
+                worker.process.wait()
+            raise
+        finally:
+            for bar in (*self._lines, self._overall):
+                bar.close()
 
-    def _submit_ready(self, executor: ThreadPoolExecutor) -> None:
+    def _start_ready(self) -> None:
         for task in list(self._pending):
             if len(self._running) == self._n_workers:
                 return
@@ -186,57 +171,61 @@ class _Pool:
                 self._settle(task, f"{task.name} needs {', '.join(sorted(broken))}, which failed")
             elif task.needs <= self._done:
                 self._pending.remove(task)
-                self._running[executor.submit(self._execute, task)] = task
+                self._running[task.name] = _Worker(task)
 
-    def _settle(self, task: Task, failure: str | None) -> None:
-        if failure is None:
-            self._done.add(task.name)
-        else:
+    def _settle(self, task: Task, failure: str) -> None:
+        if failure:
             self.failures[task.name] = failure
             self._overall.write(failure)
-        self._overall.update(task.arguments[0] == "run" and failure is None)
+        else:
+            self._done.add(task.name)
+            self._overall.update(task.arguments[0] == "run")
 
-    def _execute(self, task: Task) -> str | None:
-        """Run a task's command until it ends by itself; return what went wrong, if anything."""
-        log = task.folder / "log.txt"
-        task.folder.mkdir(parents=True, exist_ok=True)
-        for _ in range(MAX_KILLS):
-            if self._stopping:
-                return f"{task.name} was not started"
-            code = self._spawn(task, log)
-            if code == 0:
-                return None
-            if code > 0 or self._stopping:
-                lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
-                return f"{task.name} failed: {lines[-1]} (log: {log})"
-        return f"{task.name} was killed {MAX_KILLS} times"
 
-    def _spawn(self, task: Task, log: Path) -> int:
-        command = [sys.executable, "-m", "silem", *task.arguments]
-        for module in sorted({own.module_of(name) or "" for name in bodies.names()} - {""}):
+class _Worker:
+    """A process that does a task, and the next one after each that was killed."""
+
+    def __init__(self, task: Task) -> None:
+        self.task, self.failure = task, ""
+        self._kills, self._log = 0, task.folder / "log.txt"
+        self._start()
+
+    def _start(self) -> None:
+        command = [sys.executable, "-m", "silem", *self.task.arguments, "--quiet", "--with-input"]
+        for module in sorted({own.module_of(name) for name in bodies.names()} - {""}):
             command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         if root := paths.checkout():
             moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
-        with open(log, "wb") as stream:
-            # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then
-            # stops each worker once.
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream,
+        self.task.folder.mkdir(parents=True, exist_ok=True)
+        self._reached = self._checkpoint()
+        # A session of its own: Ctrl-C in the terminal reaches the campaign alone, which then stops
+        # each worker once. Its input is a pipe that ends when the campaign does.
+        with open(self._log, "wb") as stream:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
                 env=os.environ | moved, start_new_session=True,
             )  # fmt: skip
-            self._processes[task.name] = process
-            if self._stopping:
-                process.send_signal(signal.SIGTERM)
-            code = process.wait()
-        del self._processes[task.name]
-        return code
 
-    def _show(self) -> None:
-        lines = [_describe(task) for task in self._running.values()]
-        for i, bar in enumerate(self._lines):
-            bar.set_description_str(lines[i] if i < len(lines) else "")
-        self._overall.refresh()
+    def _checkpoint(self) -> int:
+        path = self.task.folder / CHECKPOINT
+        return path.stat().st_mtime_ns if path.exists() else 0
+
+    def ended(self) -> bool:
+        """Return whether the task is done, or failed for the reason then in `failure`."""
+        code, name = self.process.poll(), self.task.name
+        if code is None:
+            return False
+        if code > 0:
+            lines = self._log.read_text(errors="replace").strip().splitlines() or ["no message"]
+            self.failure = f"{name} failed: {lines[-1]} (log: {self._log})"
+        elif code < 0:
+            self._kills = self._kills + 1 if self._checkpoint() == self._reached else 0
+            if self._kills < MAX_KILLS:
+                self._start()
+                return False
+            self.failure = f"{name} was killed {MAX_KILLS} times without getting on"
+        return True
 
 
 def _describe(task: Task) -> str:

@@ -11,14 +11,16 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from silem.study.config import RunConfig
-from silem.study.curve import COLUMNS
+from silem.study.record import CURVE_COLUMNS
 from silem.util import files
 from silem.util.errors import SilemError, reason
 
@@ -28,32 +30,21 @@ _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything a training goes on from.
-
-    Attributes:
-        run_id: The run it belongs to.
-        iteration: Finished iterations.
-        wall_time_s: Time spent so far, over all sessions.
-        processor_time_s: Processor time spent so far; None where an earlier session did not count.
-        commits: The code's commits of the sessions so far.
-        demonstrations_sha256: Hash of the demonstrations' file; "" where none are used.
-        curve: Learning curve so far, (iteration, columns) with NaN for blank.
-        model: The model's `state_arrays`.
-    """
+    """Everything a training goes on from."""
 
     run_id: str
-    iteration: int
-    wall_time_s: float
-    processor_time_s: float | None
-    commits: tuple[str, ...]
-    demonstrations_sha256: str
-    curve: np.ndarray
-    model: dict[str, np.ndarray]
+    iteration: int  # finished
+    wall_time_s: float  # over all sessions, as what follows
+    processor_time_s: float | None  # None where an earlier session did not count
+    commits: tuple[str, ...]  # of the code
+    demonstrations_sha256: str  # of their file; "" where none are used
+    curve: np.ndarray  # (iteration, columns), NaN for blank
+    model: dict[str, np.ndarray]  # its `state_arrays`
 
     @classmethod
     def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
         """Return what a run starts from that has not begun."""
-        no_curve = np.empty((0, len(COLUMNS)))
+        no_curve = np.empty((0, len(CURVE_COLUMNS)))
         return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
 
     def save(self, path: Path) -> None:
@@ -110,19 +101,16 @@ class Checkpoint:
                 raise SilemError(f"{path} holds unknown {', '.join(metadata)}")
         except (KeyError, TypeError, ValueError) as error:
             raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
-        if found.curve.ndim != 2 or found.curve.shape[1] != len(COLUMNS):
+        if found.curve.ndim != 2 or found.curve.shape[1] != len(CURVE_COLUMNS):
             raise SilemError(f"{path} is of an older version: its curve is another; {advice}")
         if found.run_id != config.run_id:
-            raise SilemError(
-                f"{path} is a checkpoint of {found.run_id}, not {config.run_id}; {advice}"
-            )
-        if found.demonstrations_sha256 != demonstrations_sha256:
-            raise SilemError(
-                f"{path} was made with other demonstrations than those there now; bring those"
-                f" back, or {advice}"
-            )
-        if wrong := found._implausible(config):
-            raise SilemError(f"damaged checkpoint: {path} {wrong}; {advice}")
+            wrong = f"{path} is a checkpoint of {found.run_id}, not {config.run_id}"
+        elif found.demonstrations_sha256 != demonstrations_sha256:
+            wrong = f"{path} was made with other demonstrations (bring those back)"
+        elif wrong := found._implausible(config):
+            wrong = f"damaged checkpoint: {path} {wrong}"
+        if wrong:
+            raise SilemError(f"{wrong}; {advice}")
         return found
 
     def _implausible(self, config: RunConfig) -> str:
@@ -142,6 +130,22 @@ class Checkpoint:
         if not all(isinstance(commit, str) for commit in self.commits):
             return "names commits that are no text"
         return ""
+
+
+class Stopwatch:
+    """Wall and processor time that a run takes, over all sessions."""
+
+    def __init__(self, start: Checkpoint) -> None:
+        self._start, self._began = start, (time.perf_counter(), time.process_time())
+
+    def __call__(self) -> dict[str, Any]:
+        """Return it in seconds; of the processor None where an earlier session did not count it."""
+        before = self._start.processor_time_s
+        processor_s = time.process_time() - self._began[1]
+        return {
+            "wall_time_s": self._start.wall_time_s + time.perf_counter() - self._began[0],
+            "processor_time_s": None if before is None else before + processor_s,
+        }
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:

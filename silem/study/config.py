@@ -16,7 +16,7 @@ from typing import Any
 from silem import bodies
 from silem.bodies import Body, own
 from silem.study import settings
-from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, Setting, of_family
+from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named, of_family
 from silem.util.errors import SilemError, check_name, choose, reason
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
@@ -68,27 +68,22 @@ class RunConfig:
             SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
                 method.
         """
-        bodies.get(body)  # which refuses what there is not
+        learner = bodies.get(body)
         choose("method", method, METHODS)
-        family = bodies.get(body).family
         demonstrations = settings.demonstrations(body, method, demonstrations)
-        if isinstance(budget, str):
-            budget = BUDGETS[choose("budget", budget, BUDGETS)]
-        budget = of_family(budget, family)
+        budget = of_family(budget_named(budget), learner.family)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
-        study = family if study is None else study
+        study = learner.family if study is None else study
         for kind, name in (("study", study), ("body", body), ("demonstrations", demonstrations)):
             if name or kind != "demonstrations":
                 check_name(kind, name)
-        allowed = [*HyperParameters.names_used_by(method), *bodies.get(body).parameters]
-        for name in overrides:
-            choose(f"hyper-parameter of {method}", name, allowed)
         resolved = settings.resolve(body, method, demonstrations)
-        values = {name: setting.value for name, setting in resolved.items()}
-        values |= overrides
-        parameters = {name: values.pop(name) for name in bodies.get(body).parameters}
-        bodies.get(body).variant(**parameters)  # which refuses what it does not allow
+        for name in overrides:
+            choose(f"hyper-parameter of {method}", name, resolved)
+        values = {name: setting.value for name, setting in resolved.items()} | overrides
+        parameters = {name: values.pop(name) for name in learner.parameters}
+        learner.variant(**parameters)  # which refuses what it does not allow
         hyper = HyperParameters(**values)
         steps, minibatch = budget.steps_per_iteration, hyper.minibatch_size
         if method != "random" and steps % minibatch:
@@ -99,6 +94,11 @@ class RunConfig:
     def transform(self) -> str | None:
         """The state transformer's kind, or None where the method has none."""
         return METHODS[self.method].transform
+
+    @property
+    def learner(self) -> Body:
+        """The learner's body, with this run's parameters."""
+        return bodies.get(self.body).variant(**self.parameters)
 
     def settings(self) -> dict[str, Setting]:
         """Return every hyper-parameter in use with where it comes from."""
@@ -111,92 +111,94 @@ class RunConfig:
 
     def describe(self) -> str:
         """Return every value that makes this run, a line each, with where it comes from."""
-        budget = dataclasses.asdict(self.budget)
+        counts = dataclasses.asdict(self.budget)
+        budget = f"budget {counts.pop('name')}"
         rows = [
             ("study", self.study, ""),
             ("body", self.body, bodies.get(self.body).description),
             ("method", self.method, METHODS[self.method].about),
             ("demonstrations", self.demonstrations or "none", ""),
             ("seed", self.seed, ""),
-            *(
-                (name, n, f"budget {budget['name']}")
-                for name, n in budget.items()
-                if name != "name"
-            ),
+            *((name, count, budget) for name, count in counts.items()),
             *((name, *setting) for name, setting in self.settings().items()),
         ]
         lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
         return "\n".join([self.run_id, *lines])
 
     @property
-    def learner(self) -> Body:
-        """The learner's body, with this run's parameters."""
-        return bodies.get(self.body).variant(**self.parameters)
-
-    @property
     def run_id(self) -> str:
         """A readable name that ends in a hash of the configuration alone."""
         content = self.to_dict()
         del content["budget"]["n_trials"]  # how many others are run changes nothing in this one
-        text = json.dumps(content, sort_keys=True)
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
         source = f"_from_{self.demonstrations}" if self.demonstrations else ""
-        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
         return f"{self.method}_{self.body}{source}_{self.budget.name}_s{self.seed}_{digest}"
 
     @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
-        words = ["python -m silem run"]
-        if module := own.module_of(self.body):
-            words.append(f"--import {module}")
-        words += [f"--body {self.body}", f"--method {self.method}"]
-        if self.demonstrations:
-            words.append(f"--demonstrations {self.demonstrations}")
         name, _, iterations = self.budget.name.partition("-")
-        words.append(f"--budget {name}" + (f" --iterations {iterations}" if iterations else ""))
-        words.append(f"--seed {self.seed}")
-        if self.study != bodies.get(self.body).family:
-            words.append(f"--study {self.study}")
-        default = RunConfig.create(self.body, self.method, self.demonstrations or None)
+        study = self.study if self.study != bodies.get(self.body).family else ""
+        options = {
+            "import": own.module_of(self.body),
+            "body": self.body,
+            "method": self.method,
+            "demonstrations": self.demonstrations,
+            "budget": name,
+            "iterations": iterations,
+            "seed": str(self.seed),
+            "study": study,
+        }
+        words = ["silem run", *(f"--{option} {said}" for option, said in options.items() if said)]
+        usual = settings.resolve(self.body, self.method, self.demonstrations)
         for name, (value, _) in self.settings().items():
-            if value != default.settings()[name].value:
+            if value != usual[name].value:
                 text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain JSON types, with the used hyper-parameters only."""
+        """Return the configuration as plain JSON types, with the used hyper-parameters only.
+
+        A body of one's own is part of it as `silem.bodies.own.identity`.
+        """
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
-        } | dict(self.parameters)
+        }
+        body = own.identity(self.body)
         return {
             "study": self.study,
             "body": self.body,
             "method": self.method,
             "demonstrations": self.demonstrations,
             "budget": dataclasses.asdict(self.budget),
-            "hyper": hyper,
+            "hyper": hyper | dict(self.parameters),
             "seed": self.seed,
-        }
+        } | ({"own_body": body} if body else {})
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
         """Rebuild a configuration from `to_dict`, through the same checks.
 
         Raises:
-            SilemError: A key is missing or unknown, or a value is not allowed.
+            SilemError: A key is missing or unknown, a value is not allowed, or the body is another
+                one now.
         """
         keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:
             for key in content:
-                choose("configuration key", key, keys)
-            budget = Budget(**content["budget"])
+                choose("configuration key", key, [*keys, "own_body"])
+            body, then = content["body"], content.get("own_body")
+            if own.identity(str(body)) != then:
+                module = then["module"] if then else ""
+                advice = f"; --import {module} loads that" if module else ""
+                raise SilemError(f"{body} is not the body that this run is of{advice}")
             return cls.create(
-                content["body"],
+                body,
                 content["method"],
                 content["demonstrations"] or None,
-                budget,
+                Budget(**content["budget"]),
                 content["seed"],
                 content["study"],
                 **content["hyper"],

@@ -1,25 +1,34 @@
-"""The demonstrator of a body, by a rule, and its recording as what imitators learn from."""
+"""A body's demonstrator, by a rule, its recording as what imitators learn from, and its gait."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from silem import bodies
 from silem.bodies import BulletBody
 from silem.motion import demonstrations as demos
-from silem.study import gait, runs
+from silem.motion.demonstrations import Demonstrations
+from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RunRecord
 from silem.study.settings import Budget
-from silem.util import paths
 from silem.util.errors import SilemError
+
+AT_LIMIT = 0.99
+"""|scaled angle| beyond which a joint is at its limit, as `silem.envs.bullet.task` charges it."""
+
+_FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.task.LocomotionTask`
+_VELOCITY_SCALE = 0.3  # of the forward velocity, likewise
 
 
 def experts(body: str, budget: str | Budget) -> list[RunConfig]:
     """Return the configurations of a body's experts: every trial of PPO with the true reward."""
     first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0])
-    seeds = TRIAL_SEEDS[: first.budget.n_trials]
-    return [first, *(RunConfig.create(body, "ppo", None, budget, seed) for seed in seeds[1:])]
+    seeds = TRIAL_SEEDS[1 : first.budget.n_trials]
+    return [first, *(RunConfig.create(body, "ppo", None, budget, seed) for seed in seeds)]
 
 
 def demonstrator(body: str, budget: str | Budget) -> RunRecord:
@@ -36,7 +45,7 @@ def demonstrator(body: str, budget: str | Budget) -> RunRecord:
     missing = [config for config, record in zip(configs, found, strict=True) if record is None]
     if missing:
         raise SilemError(
-            f"the demonstrator of {body} is the best of {len(configs)} experts, of which"
+            f"the demonstrator of {body} is the best of {len(found)} experts, of which"
             f" {len(missing)} are not finished; next: {missing[0].command}"
         )
     records = [record for record in found if record is not None]
@@ -67,26 +76,14 @@ def demonstrate(
 ) -> Path:
     """Record state-only demonstrations of a finished run's stochastic policy and publish them.
 
-    Failed episodes stay in; the manifest says how many, and how a runner moves
-    (`silem.study.gait`).
-
-    Args:
-        record: The expert's run.
-        n_trajectories: How many episodes.
-        name: What imitators find them by; None means the expert's body, whose demonstrator it
-            then is.
-        force: Replace demonstrations that another run made.
-        progress: Show a progress bar.
-
-    Returns:
-        The file, named ``name``.
+    Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
+    file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
 
     Raises:
-        SilemError: The run is no expert's, or there are demonstrations of this name by another
-            run already.
+        SilemError: The run is no expert's, or, without `force`, there are demonstrations of this
+            name by another run already.
     """
-    from silem.study.evaluate import record_episodes
-    from silem.study.policies import load_policy
+    from silem.study.evaluate import load_policy, record_episodes
 
     body = record.config["body"]
     name = body if name is None else name
@@ -97,29 +94,21 @@ def demonstrate(
     path = demos.file_of(name)
     with demos.publishing():
         if path.exists() and not force:
-            there = demos.Demonstrations.load(name)
+            there = Demonstrations.load(name)
             if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
                 raise SilemError(
                     f"{path} holds {len(there.features)} trajectories of"
-                    f" {there.expert_run_id or 'another expert'} already; {_instead(path)}"
+                    f" {there.expert_run_id or 'another expert'} already; to record others,"
+                    f" {runs.instead_of(path)}"
                 )
             if demos.is_published(name):
                 return path
         else:
-            policy = load_policy(record)
             there = record_episodes(
-                policy, body, n_trajectories, run_id=record.run_id, progress=progress
+                load_policy(record), body, n_trajectories, run_id=record.run_id, progress=progress
             )
         runner = isinstance(bodies.get(body), BulletBody)
-        return demos.publish(name, there, gait.measure(there)._asdict() if runner else None)
-
-
-def _instead(path: Path) -> str:
-    """Say what to do where there are demonstrations already."""
-    root = paths.checkout()
-    if root is not None and path.is_relative_to(root / "data"):  # the committed runs' own
-        return "to record others, set SILEM_DATA_DIR to another folder for expert and recording"
-    return "--force replaces them"
+        return demos.publish(name, there, gait(there)._asdict() if runner else None)
 
 
 def describe(name: str) -> str:
@@ -137,3 +126,62 @@ def describe(name: str) -> str:
             f" {100 * about['limit_share']:.0f} % of the time"
         )
     return text
+
+
+class Gait(NamedTuple):
+    """How a runner moves, by its features, and what the manifest says of an expert's returns."""
+
+    speed_m_s: float
+    pitch_rad: float  # mean over all states; positive is nose down
+    pitch_std_rad: float
+    limit_share: float  # of the states, those with any joint at its limit
+    joints_at_limit: float  # mean number of joints at their limits, which the task charges
+    return_worst: float | None  # None where the returns are unknown
+    n_failed: int | None  # episodes, none of which is left out
+
+
+def gait(demonstrations: Demonstrations) -> Gait:
+    """Measure the gait of a runner's demonstrations over all of their states.
+
+    Raises:
+        SilemError: They are no runner's.
+    """
+    states = np.concatenate(demonstrations.features)
+    at_limits = joints_at_limit(states, demonstrations.body)
+    pitch = pitch_rad(states)
+    returns = np.array(demonstrations.returns)
+    return Gait(
+        speed_m_s=float(states[:, _FORWARD].mean(dtype=np.float64)) / _VELOCITY_SCALE,
+        pitch_rad=float(pitch.mean()),
+        pitch_std_rad=float(pitch.std()),
+        limit_share=float((at_limits > 0).mean()),
+        joints_at_limit=float(at_limits.mean()),
+        return_worst=float(returns.min()) if len(returns) else None,
+        n_failed=int(failed(returns).sum()) if len(returns) else None,
+    )
+
+
+def pitch_rad(features: np.ndarray) -> np.ndarray:
+    """Return the torso's pitch of every state, (..., F) to (...); positive is nose down."""
+    return np.asarray(features[..., _PITCH], dtype=np.float64)
+
+
+def joints_at_limit(features: np.ndarray, body: str) -> np.ndarray:
+    """Count the joints at their limits in every state, (..., F) to (...).
+
+    Raises:
+        SilemError: The body is no runner, or has another number of features.
+    """
+    found = bodies.get(body)
+    if not isinstance(found, BulletBody):
+        raise SilemError(f"a gait is measured on HalfCheetahs and Ants, not on {body}")
+    if features.shape[-1] != found.observation_size:
+        raise SilemError(f"{features.shape[-1]} features, {body} has {found.observation_size}")
+    angles = features[..., _FIRST_ANGLE : _FIRST_ANGLE + 2 * len(found.motors) : 2]
+    return np.asarray((np.abs(angles) > AT_LIMIT).sum(axis=-1))
+
+
+def failed(returns: np.ndarray) -> np.ndarray:
+    """Tell of every episode, (N,), whether it returns less than half of what the median does."""
+    median = float(np.median(returns))
+    return np.asarray(returns < median - abs(median) / 2)

@@ -6,7 +6,7 @@ Policies act stochastically, as in training and in the demonstrations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,20 +14,22 @@ import numpy as np
 from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
-from silem import bodies
+from silem import algorithms, bodies
 from silem.algorithms.gaifo import GAIfO
 from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
 from silem.motion.demonstrations import Demonstrations
+from silem.study.record import POLICY, RunRecord
+from silem.study.training import unclipped
 from silem.util import seeding
 from silem.util.errors import SilemError
 
 EVALUATION_SEED = seeding.child_seed(0, "evaluation")
 """The seed of every evaluation, whatever the method and the trial: all meet the same starts."""
 
-DEMONSTRATION_SEED = seeding.child_seed(0, "demonstrations")
-MAX_ENVS = 8
+_DEMONSTRATION_SEED = seeding.child_seed(0, "demonstrations")
+_MAX_ENVS = 8
 
 
 class Policy(Protocol):
@@ -43,13 +45,14 @@ class RandomPolicy:
     Its actions are not clipped, so that the task charges them as they are, as PyBullet's does.
 
     Args:
-        n_actions: A, the number of actuators.
+        body: The body that it moves, or its name.
         seed: The trial's seed.
         std: Standard deviation of every action.
     """
 
-    def __init__(self, n_actions: int, seed: int, std: float = 1.0) -> None:
-        self._n_actions, self._seed, self._std = n_actions, seed, std
+    def __init__(self, body: Body | str, seed: int = 0, std: float = 1.0) -> None:
+        moved = bodies.get(body) if isinstance(body, str) else body
+        self._n_actions, self._seed, self._std = moved.action_size, seed, std
         self.reseed(0)
 
     def reseed(self, seed: int) -> None:
@@ -62,27 +65,29 @@ class RandomPolicy:
         return self._std * self._generator.standard_normal(size, dtype=np.float32), None
 
 
-def random_policy(body: Body | str, seed: int = 0, std: float = 1.0) -> RandomPolicy:
-    """Return the random policy of a body, for the trial of a seed."""
-    found = bodies.get(body) if isinstance(body, str) else body
-    return RandomPolicy(found.action_size, seed, std)
+def load_policy(record: RunRecord) -> Policy:
+    """Return a finished run's policy, ready to `predict`.
+
+    Raises:
+        SilemError: The policy's file is missing or not the recorded one.
+    """
+    config = record.run_config()
+    if config.method == "random":
+        return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
+    policy = algorithms.load_policy(record.file(POLICY))
+    if not config.hyper.clip_actions:
+        policy.action_space = unclipped(policy.action_space)
+    return policy
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One finished episode.
+    """One finished episode."""
 
-    Attributes:
-        features: Skeletal features of all T + 1 states, (T + 1, F) float32.
-        episode_return: Sum of the true rewards.
-        speed_m_s: Mean forward speed.
-        upright: Fraction of the steps with the alive bonus.
-    """
-
-    features: np.ndarray
-    episode_return: float
-    speed_m_s: float | None
-    upright: float | None
+    features: np.ndarray  # skeletal features of all states, (T + 1, F) float32
+    episode_return: float  # sum of the true rewards
+    speed_m_s: float | None  # mean, forward; None where the environment does not say
+    upright: float | None  # fraction of the steps with the alive bonus, or None likewise
 
 
 @dataclass(frozen=True)
@@ -117,10 +122,10 @@ def episodes(
     over-represented.
 
     Args:
-        policy: What acts. Its random numbers restart from `seed`.
+        policy: What acts. Its random numbers restart from `seed`, as the environments' do.
         body: The body, or its name.
         n_episodes: How many episodes.
-        seed: Seed of the environments and of the policy.
+        seed: The seed.
         progress: Show a progress bar.
         **options: Of the environments (see `silem.envs.make_vec`).
 
@@ -132,7 +137,7 @@ def episodes(
     """
     if n_episodes < 1:
         raise SilemError(f"episodes must be 1 or more, not {n_episodes}")
-    n_envs = min(MAX_ENVS, n_episodes)
+    n_envs = min(_MAX_ENVS, n_episodes)
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1
     env = make_vec(body, n_envs=n_envs, seed=seeding.child_seed(seed, "env"), **options)
@@ -153,19 +158,16 @@ def episodes(
             for i in np.flatnonzero(left).tolist():
                 states[i].append(reached[i].copy())
                 if dones[i]:
-                    yield _episode(states[i], infos[i]["episode"])
+                    info = infos[i]["episode"]
+                    told = (info.get("speed_m_s"), info.get("upright"))
+                    features = np.stack(states[i]).astype(np.float32)
+                    yield Episode(features, float(info["r"]), *told)
                     states[i] = [restarted[i]]
                     left[i] -= 1
                     bar.update()
     finally:
         bar.close()
         env.close()
-
-
-def _episode(states: list[np.ndarray], info: dict[str, float]) -> Episode:
-    features = np.stack(states).astype(np.float32)
-    told = (float(info[name]) if name in info else None for name in ("speed_m_s", "upright"))
-    return Episode(features, float(info["r"]), *told)
 
 
 def evaluate(
@@ -178,23 +180,15 @@ def evaluate(
     progress: bool = False,
     **options: Any,
 ) -> Evaluation:
-    """Evaluate a policy over `n_episodes` episodes.
+    """Evaluate a policy by the true reward over `n_episodes` `episodes`, whose arguments these are.
 
-    Args:
-        policy: What acts (see `episodes`).
-        body: The body, or its name.
-        n_episodes: How many episodes.
-        seed: Seed of the environments and of the policy.
-        model: An imitator whose discriminator scores the episodes, if any.
-        progress: Show a progress bar.
-        **options: Of the environments (see `silem.study.training.task_options`).
+    A `model` is an imitator whose discriminator scores the episodes.
     """
     returns, speeds, uprights, scores = [], [], [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
         returns.append(episode.episode_return)
-        if episode.speed_m_s is not None and episode.upright is not None:
-            speeds.append(episode.speed_m_s)
-            uprights.append(episode.upright)
+        speeds.append(episode.speed_m_s)
+        uprights.append(episode.upright)
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
@@ -203,10 +197,15 @@ def evaluate(
         return_mean=float(np.mean(returns)),
         return_std=float(np.std(returns)),
         returns=[round(value, 3) for value in returns],
-        speed_m_s=float(np.mean(speeds)) if speeds else None,
-        upright=float(np.mean(uprights)) if uprights else None,
-        disc_reward_mean=float(np.mean(scores)) if scores else None,
+        speed_m_s=_mean(speeds),
+        upright=_mean(uprights),
+        disc_reward_mean=_mean(scores),
     )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def record_episodes(
@@ -215,19 +214,13 @@ def record_episodes(
     n_trajectories: int = 20,
     *,
     run_id: str = "",
-    seed: int = DEMONSTRATION_SEED,
     progress: bool = False,
 ) -> Demonstrations:
-    """Record state-only demonstrations of a policy.
+    """Record so many `episodes` of an expert's policy as state-only demonstrations.
 
-    Args:
-        policy: The expert (see `episodes`).
-        body: The expert's body.
-        n_trajectories: How many episodes.
-        run_id: The expert's run, "" if it is no run's.
-        seed: Seed of the environments and of the policy.
-        progress: Show a progress bar.
+    `run_id` is the expert's run, "" if it is no run's.
     """
+    seed = _DEMONSTRATION_SEED
     recorded = list(episodes(policy, body, n_trajectories, seed, progress=progress))
     return Demonstrations(
         tuple(episode.features for episode in recorded),

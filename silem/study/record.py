@@ -1,4 +1,4 @@
-"""The record of a finished run, and where its code and libraries came from."""
+"""What a finished run leaves: its record, where its code came from, and its learning curve."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import subprocess
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,17 @@ PACKAGES = (
     "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",
 )  # fmt: skip
 
+CURVE_COLUMNS = (
+    "iteration", "timesteps", "return_mean", "speed_m_s", "disc_reward", "disc_loss",
+    "disc_acc_expert", "disc_acc_learner", "transform_loss", "policy_std", "episode_length",
+    "domain_acc",
+)  # fmt: skip
+"""Of a learning curve, which has one row per iteration."""
+
+_ALWAYS = 10  # the first columns stand in every published curve, a later one where it has numbers
+MAX_ROWS = 200
+"""Rows of a published curve."""
+
 
 @dataclass(frozen=True)
 class RunRecord:
@@ -38,8 +50,8 @@ class RunRecord:
         evaluation: `silem.study.evaluate.Evaluation.to_dict`.
         training: ``n_steps``, ``steps_per_s`` and ``disc_reward_last`` (per episode, None where
             there is no discriminator).
-        provenance: Commit, environment and package versions of the session that finished the run,
-            and ``earlier_commits`` of the sessions it went on from, and the `machine`.
+        provenance: `provenance` of the session that finished the run, and ``earlier_commits`` of
+            the sessions it went on from.
         demonstrations_sha256: Hash of the demonstrations' file, None where none were used.
         wall_time_s: Time of training and evaluation, over all sessions.
         processor_time_s: Processor time of the same; None in records of before it was counted.
@@ -102,33 +114,26 @@ class RunRecord:
 
 
 def provenance() -> dict[str, Any]:
-    """Return what the code runs on: commit, pinned environment, package versions, Python.
+    """Return what the code runs on: commit, pinned environment, package versions, machine.
 
     ``git_dirty`` tells whether the package's own code differs from the commit. Without git, or
-    where the package was installed from a wheel, both are None.
+    where the package was installed from a wheel, both are None. Of the machine, processor and
+    ``kernels``, which the numerical libraries chose for it, move a run's last bits.
     """
     status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
     root = paths.checkout()
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):
+        found = re.search(r"^model name\s*:\s*(.*)$", Path("/proc/cpuinfo").read_text(), re.M)
+        processor = found[1] if found else processor
     return {
         "git_commit": git("rev-parse", "HEAD"),
         "git_dirty": None if status is None else bool(status),
         "environment_sha256": files.sha256(root / "environment.txt") if root else None,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
-        "machine": machine(),
+        "machine": {"processor": processor, "cores": os.cpu_count(), "kernels": _kernels()},
     }
-
-
-def machine() -> dict[str, Any]:
-    """Return what moves a run's last bits or its speed: processor, kernels, cores.
-
-    ``kernels`` are those that the numerical libraries chose for this processor.
-    """
-    processor = platform.processor() or platform.machine()
-    with suppress(OSError):
-        found = re.search(r"^model name\s*:\s*(.*)$", Path("/proc/cpuinfo").read_text(), re.M)
-        processor = found[1] if found else processor
-    return {"processor": processor, "cores": os.cpu_count(), "kernels": _kernels()}
 
 
 def _kernels() -> dict[str, str | None]:
@@ -160,3 +165,38 @@ def git(*arguments: str) -> str | None:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def curve_row(iteration: int, timesteps: int, stats: dict[str, float]) -> np.ndarray:
+    """Return one iteration's row, NaN where the iteration has no such number."""
+    values = {"iteration": iteration, "timesteps": timesteps} | stats
+    return np.array([values.get(column, np.nan) for column in CURVE_COLUMNS], dtype=np.float64)
+
+
+def thinned(curve: np.ndarray) -> np.ndarray:
+    """Average blocks of neighbouring iterations until at most `MAX_ROWS` rows are left.
+
+    Args:
+        curve: (iterations, columns), NaN for blank.
+
+    Returns:
+        (rows, columns): each block's mean over what is not blank, at the block's last iteration.
+        Averages rather than every k-th row, because most iterations see no episode end.
+    """
+    size = max(1, -(-len(curve) // MAX_ROWS))
+    blocks = [curve[start : start + size] for start in range(0, len(curve), size)]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Mean of empty slice", RuntimeWarning)
+        rows = [np.concatenate([b[-1, :2], np.nanmean(b[:, 2:], axis=0)]) for b in blocks]
+    return np.array(rows).reshape(-1, len(CURVE_COLUMNS))
+
+
+def curve_csv(curve: np.ndarray) -> str:
+    """Return a curve, thinned, as CSV text: 5 significant digits, blank for NaN."""
+    rows = thinned(curve)
+    used = [i for i in range(len(CURVE_COLUMNS)) if i < _ALWAYS or not np.isnan(rows[:, i]).all()]
+    lines = [[CURVE_COLUMNS[i] for i in used]]
+    for values in rows[:, used]:
+        numbers = ["" if np.isnan(value) else f"{value:.5g}" for value in values[2:]]
+        lines.append([*(str(int(value)) for value in values[:2]), *numbers])
+    return "".join(",".join(line) + "\n" for line in lines)

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import time
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,19 +17,24 @@ import numpy as np
 from silem import bodies
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint, Stopwatch
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.interrupt import sigterm_as_interrupt
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, provenance
+from silem.study.record import (
+    CURVE,
+    CURVE_COLUMNS,
+    POLICY,
+    RECORD,
+    TRANSFORM,
+    RunRecord,
+    curve_csv,
+    provenance,
+)  # fmt: skip
 from silem.study.settings import check_counts
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
 
 if TYPE_CHECKING:
     from silem.algorithms import PPO
-    from silem.study.evaluate import Evaluation
-    from silem.study.training import Segments
 
 LOCK = "run.lock"
 
@@ -63,9 +73,17 @@ def finished(config: RunConfig) -> RunRecord | None:
     if now != then:
         raise SilemError(
             f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
-            f" {path} holds now ({now[:12]}); bring those back, or make the run anew with --force"
+            f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
         )
     return record
+
+
+def instead_of(path: Path) -> str:
+    """Say how something else is made than what lies at a path: what is committed is kept."""
+    root = paths.checkout()
+    committed = [root / "data" / name for name in ("results", "demonstrations")] if root else []
+    kept = any(path.is_relative_to(folder) for folder in committed)
+    return "set SILEM_DATA_DIR to another folder" if kept else "replace it with --force"
 
 
 def state(config: RunConfig) -> str:
@@ -76,6 +94,40 @@ def state(config: RunConfig) -> str:
     if files.is_locked(folder / LOCK):
         return "running"
     return "part" if (folder / CHECKPOINT).exists() else "missing"
+
+
+@contextmanager
+def sigterm_as_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM while the block runs: there is one way to stop.
+
+    Python allows this in the main thread alone; elsewhere the block runs as it is.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(signal_number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def stop_with_input() -> None:
+    """Stop as by SIGTERM when the standard input ends: when whoever holds its other end does.
+
+    The kernel closes a pipe even after ``kill -9``.
+    """
+
+    def watch() -> None:
+        while os.read(0, 1024):
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def run(
@@ -122,90 +174,49 @@ def run(
 
 
 def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
-    """Make a run, from its checkpoint where there is one, and record it."""
+    """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
     from silem.algorithms import GAIfO
-    from silem.study.evaluate import evaluate, random_policy
+    from silem.study.evaluate import RandomPolicy, evaluate
     from silem.study.training import make_env, make_model, task_options, train
 
     torch.set_num_threads(1)
-    began, processor_began = time.perf_counter(), time.process_time()
     source = provenance()
-    n_episodes = config.budget.n_eval_episodes
-    if config.method == "random":
-        policy = random_policy(config.learner, config.seed, config.hyper.action_std)
-        result = evaluate(policy, config.learner, n_episodes, progress=progress)
-        training = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
-        spent = {
-            "wall_time_s": time.perf_counter() - began,
-            "processor_time_s": time.process_time() - processor_began,
-        }
-        return _record(config, folder, result, training, source, None, spent)
-
     demonstrations, sha = load_demonstrations(config)
-    start = _start(config, folder, sha or "", source["git_commit"] or "unknown")
-    env = make_env(config)
-    try:
-        model = make_model(config, env, demonstrations)
-        segments = train(model, config, folder, start, progress=progress)
-    finally:
-        env.close()
-    training = _training(config, segments)
-    scorer = model if isinstance(model, GAIfO) else None
-    task = task_options(config)
-    result = evaluate(model, config.learner, n_episodes, model=scorer, progress=progress, **task)
-    _write_outcome(folder, model, segments.curve, config.run_id)
+    start, path = Checkpoint.start(config, sha or ""), folder / CHECKPOINT
+    start = Checkpoint.load(path, config, sha or "") if path.exists() else start
+    commit = source["git_commit"] or "unknown"
+    start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
+    spent = Stopwatch(start)
+    training: dict[str, Any] = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
+    policy: Any
+    if config.method == "random":
+        policy, names = RandomPolicy(config.learner, config.seed, config.hyper.action_std), []
+    else:
+        env = make_env(config)
+        try:
+            policy = make_model(config, env, demonstrations)
+            curve = train(policy, config, folder, start, spent, progress)
+        finally:
+            env.close()
+        names = _write_outcome(folder, policy, curve, config.run_id)
+        rewards = curve[:, CURVE_COLUMNS.index("disc_reward")]
+        rewards = rewards[~np.isnan(rewards)]
+        n_steps = config.budget.n_steps
+        training = {
+            "n_steps": n_steps,
+            "steps_per_s": n_steps / spent()["wall_time_s"],
+            "disc_reward_last": float(rewards[-1]) if len(rewards) else None,
+        }
+        source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
     if demonstrations is not None:
         source["expert_run_id"] = demonstrations.expert_run_id
-    source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
-    return _record(config, folder, result, training, source, sha, segments.spent)
-
-
-def _start(config: RunConfig, folder: Path, sha: str, commit: str) -> Checkpoint:
-    """Return the run's checkpoint, or an empty one; the present commit joins it."""
-    path = folder / CHECKPOINT
-    found = Checkpoint.load(path, config, sha) if path.exists() else Checkpoint.start(config, sha)
-    return dataclasses.replace(found, commits=tuple(dict.fromkeys([*found.commits, commit])))
-
-
-def _training(config: RunConfig, segments: Segments) -> dict[str, Any]:
-    disc_rewards = segments.curve[:, curve.COLUMNS.index("disc_reward")]
-    disc_rewards = disc_rewards[~np.isnan(disc_rewards)]
-    return {
-        "n_steps": config.budget.n_steps,
-        "steps_per_s": config.budget.n_steps / segments.spent["wall_time_s"],
-        "disc_reward_last": float(disc_rewards[-1]) if len(disc_rewards) else None,
-    }
-
-
-def _write_outcome(folder: Path, model: PPO, values: np.ndarray, run_id: str) -> None:
-    from silem.algorithms import SILEM
-    from silem.algorithms.networks import AffineTransform
-
-    files.write_text(folder / CURVE, curve.to_csv(values))
-    model.export_policy(folder / POLICY, run_id=run_id)
-    if isinstance(model, SILEM) and isinstance(model.transform_net, AffineTransform):
-        transform = model.transform_net
-        arrays = {"A": transform.scale, "b": transform.offset}
-        files.write_npz(
-            folder / TRANSFORM,
-            {name: value.detach().cpu().numpy() for name, value in arrays.items()},
-        )
-
-
-def _record(
-    config: RunConfig,
-    folder: Path,
-    result: Evaluation,
-    training: dict[str, Any],
-    source: dict[str, Any],
-    demonstrations_sha256: str | None,
-    spent: dict[str, Any],
-) -> RunRecord:
-    """Publish the run where its budget says so; the records themselves are written last."""
+    result = evaluate(
+        policy, config.learner, config.budget.n_eval_episodes, progress=progress,
+        model=policy if isinstance(policy, GAIfO) else None, **task_options(config),
+    )  # fmt: skip
     (folder / PROGRESS).unlink(missing_ok=True)
-    names = [name for name in (CURVE, POLICY, TRANSFORM) if (folder / name).exists()]
     record = RunRecord(
         run_id=config.run_id,
         status="finished",
@@ -213,8 +224,8 @@ def _record(
         evaluation=result.to_dict(),
         training=training,
         provenance=source,
-        demonstrations_sha256=demonstrations_sha256,
-        **spent,
+        demonstrations_sha256=sha,
+        **spent(),
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
@@ -223,8 +234,23 @@ def _record(
         for name in names:
             files.write_bytes(published / name, (folder / name).read_bytes())
         record.save(published)
-    record.save(folder)
+    record.save(folder)  # last: whoever finds it finds a whole run
     return record
+
+
+def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> list[str]:
+    """Write what a training leaves, and return the files' names."""
+    from silem.algorithms import SILEM
+    from silem.algorithms.networks import AffineTransform
+
+    files.write_text(folder / CURVE, curve_csv(curve))
+    model.export_policy(folder / POLICY, run_id=run_id)
+    net = model.transform_net if isinstance(model, SILEM) else None
+    if not isinstance(net, AffineTransform):
+        return [CURVE, POLICY]
+    arrays = {"A": net.scale, "b": net.offset}
+    files.write_npz(folder / TRANSFORM, {n: x.detach().cpu().numpy() for n, x in arrays.items()})
+    return [CURVE, POLICY, TRANSFORM]
 
 
 def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str | None]:
@@ -234,22 +260,22 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
         SilemError: They are missing, damaged or not those in the manifest; the message says how to
             make them.
     """
-    if not config.demonstrations:
+    name = config.demonstrations
+    if not name:
         return None, None
-    path = demos.file_of(config.demonstrations)
+    path = demos.file_of(name)
     if not path.exists():
-        check_made_by_an_expert(config.demonstrations)
+        check_made_by_an_expert(name)
         raise SilemError(
-            f"there are no demonstrations of {config.demonstrations} ({path}); train its expert"
-            f" with `python -m silem run --body {config.demonstrations} --method ppo`, then record"
-            f" it with `python -m silem demonstrations --body {config.demonstrations}` (both take"
-            " --budget)"
+            f"there are no demonstrations of {name} ({path}); train its expert with `silem run"
+            f" --body {name} --method ppo`, then record it with `silem demonstrations --body"
+            f" {name}` (both take --budget)"
         )
-    return demos.load_published(config.demonstrations)
+    return demos.load_published(name)
 
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
     if demonstrations not in bodies.names():
         path = demos.file_of(demonstrations)
-        raise SilemError(f"{path} is not there or not whole; `python -m silem mocap` makes it")
+        raise SilemError(f"{path} is not there or not whole; `silem mocap` makes it")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -22,29 +22,17 @@ from silem.util.errors import SilemError, check_name, choose, clipped
 HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
 
-STARTS = ("standing", "demonstration")
-"""What episodes of a humanoid start from: the standing pose with small noise, or states of the
-demonstration retargeted to the learner's body (off by default: the paper argues against needing
-them)."""
-
-
-# ---------------------------------------------------------------- methods
-
 
 @dataclass(frozen=True)
 class Method:
     """One way to make a policy.
 
-    Attributes:
-        about: What it is, for tables.
-        algorithm: The class in `silem.algorithms` that learns, or "" where nothing does.
-        transform: SILEM's state transformer, or None.
-        source: Whose demonstrations it learns from: the "original" body's expert (or the human),
-            the learner's "own" expert, the human's clip "retargeted" to the learner, or "".
+    It learns from demonstrations of the "original" body's expert (or the human), of its "own", of
+    the human's clip "retargeted" to its body, or from none ("").
     """
 
     about: str
-    algorithm: str = ""
+    algorithm: str = ""  # of `silem.algorithms`
     transform: str | None = None
     source: str = ""
 
@@ -62,34 +50,17 @@ METHODS = {
 """Every method by name."""
 
 IMITATORS = tuple(name for name, method in METHODS.items() if method.source)
-"""The methods that learn from demonstrations."""
-
 _LEARNERS = tuple(name for name, method in METHODS.items() if method.algorithm)
 _TRANSFORMED = tuple(name for name, method in METHODS.items() if method.transform)
 
 
-# ---------------------------------------------------------------- hyper-parameters
+def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: Any) -> Any:
+    """Declare a hyper-parameter: who uses it, its default and where that is from ("": open).
 
-
-def _used_by(
-    methods: Iterable[str],
-    default: Any,
-    source: str = "",
-    *,
-    optional: bool = False,
-    **allowed: Any,
-) -> Any:
-    """Declare a hyper-parameter.
-
-    Args:
-        methods: Who uses it.
-        default: Its value where no table of the paper and no family says another.
-        source: Where the default comes from; "" means that the paper leaves it open.
-        optional: At its default it is no part of a run's identity.
-        **allowed: ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``.
+    Rules are ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``; and
+    ``optional``: at its default it is no part of a run's identity.
     """
-    metadata = {"methods": tuple(methods), "optional": optional, "source": source, **allowed}
-    return field(default=default, metadata=metadata)
+    return field(default=default, metadata={"methods": methods, "source": source, **rules})
 
 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
@@ -141,7 +112,11 @@ class HyperParameters:
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0, zero=True)  # C_g
-    starts: str = _used_by(_LEARNERS, STARTS[0], optional=True, choices=STARTS)
+    # What episodes of a humanoid start from: the standing pose with small noise, or states of the
+    # demonstration retargeted to the learner's body, which the paper argues against needing.
+    starts: str = _used_by(
+        _LEARNERS, "standing", optional=True, choices=("standing", "demonstration")
+    )
     # Of the random policy: standard deviation of its raw actions, as an untrained policy's is.
     action_std: float = _used_by(("random",), 1.0)
 
@@ -149,35 +124,29 @@ class HyperParameters:
         for item in dataclasses.fields(self):
             object.__setattr__(self, item.name, _checked(item, getattr(self, item.name)))
 
-    @staticmethod
-    def names_used_by(method: str) -> list[str]:
-        """Return the names of the hyper-parameters that a method uses, in the class's order."""
-        return [
-            item.name
-            for item in dataclasses.fields(HyperParameters)
-            if method in item.metadata["methods"]
-        ]
+    @classmethod
+    def used_by(cls, method: str) -> dict[str, dataclasses.Field[Any]]:
+        """Return the fields that a method uses, by name, in the class's order."""
+        fields = dataclasses.fields(cls)
+        return {item.name: item for item in fields if method in item.metadata["methods"]}
 
     def of_method(self, method: str) -> dict[str, Any]:
         """Return what identifies a run of a method: the values it uses, by name.
 
         Optional hyper-parameters are left out at their defaults.
         """
-        used = {name: getattr(self, name) for name in self.names_used_by(method)}
-        fields = {item.name: item for item in dataclasses.fields(self)}
-        return {
-            name: value
-            for name, value in used.items()
-            if not (fields[name].metadata["optional"] and value == fields[name].default)
-        }
+        values = {name: getattr(self, name) for name in self.used_by(method)}
+        for name, item in self.used_by(method).items():
+            if item.metadata.get("optional") and values[name] == item.default:
+                del values[name]
+        return values
 
 
 LARGEST = 10**9
 """More of anything cannot be run through."""
 
 
-def check_positive_int(name: str, value: Any) -> None:
-    """Raise SilemError unless a value is a whole number from 1 to `LARGEST`."""
+def _check_count(name: str, value: Any) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
         raise SilemError(
             f"{name} must be a positive whole number up to {LARGEST}, not {clipped(repr(value))}"
@@ -197,10 +166,10 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
         if not isinstance(value, list | tuple) or not value:
             raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
         for size in value:
-            check_positive_int(f"each size in {name}", size)
+            _check_count(f"each size in {name}", size)
         return tuple(value)
     if isinstance(default, int):
-        check_positive_int(name, value)
+        _check_count(name, value)
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
@@ -208,9 +177,6 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     if not enough or not value <= rule.get("most", value) or abs(value) > sys.float_info.max:
         raise SilemError(f"{name} is out of range: {clipped(repr(value))}")
     return float(value)
-
-
-# ---------------------------------------------------------------- budgets
 
 
 @dataclass(frozen=True)
@@ -229,7 +195,7 @@ class Budget:
         check_name("budget", self.name)
         for item in dataclasses.fields(self):
             if item.name != "name":
-                check_positive_int(f"budget {item.name}", getattr(self, item.name))
+                _check_count(f"budget {item.name}", getattr(self, item.name))
         if self.steps_per_iteration % self.n_envs:
             raise SilemError(
                 f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
@@ -274,9 +240,6 @@ BUDGETS = {
 }
 
 
-# ---------------------------------------------------------------- families of bodies
-
-
 class Setting(NamedTuple):
     """One value and where it comes from."""
 
@@ -286,19 +249,13 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """What the study takes for a family of bodies.
+    """What the study takes for a family of bodies."""
 
-    Attributes:
-        original: The demonstrations that its bodies learn from: a body's expert or a clip.
-        stand_in: The body whose best combinations one takes that the paper does not know.
-        chosen: Values that the paper leaves open and the family needs, or prints for it alone.
-        budgets: What a budget counts differently.
-    """
-
-    original: str
-    stand_in: str
+    original: str  # whose demonstrations its bodies learn from: a body's expert's or a clip
+    stand_in: str  # whose best combinations a body takes that the paper does not know
+    # what the paper leaves open and the family needs, or prints for it alone
     chosen: Mapping[str, Setting] = field(default_factory=dict)
-    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # what counts otherwise
 
 
 _MUJOCO = paper.common("humanoid")
@@ -334,7 +291,20 @@ FAMILIES = {
         },
     ),
 }
-"""What is chosen for each family of bodies; other families take HalfCheetah's."""
+"""By family of bodies; others take HalfCheetah's."""
+
+
+def budget_named(budget: str | Budget) -> Budget:
+    """Return one of `BUDGETS` by its name, or the budget itself."""
+    return BUDGETS[choose("budget", budget, BUDGETS)] if isinstance(budget, str) else budget
+
+
+def _namesake(budget: Budget) -> Budget | None:
+    """Return the one of `BUDGETS` whose name a budget bears, with the iterations that it names."""
+    base = BUDGETS.get(budget.base_name)
+    if base is None or base.name == budget.name:
+        return base
+    return base.with_iterations(budget.n_iterations)
 
 
 def of_family(budget: Budget, family: str) -> Budget:
@@ -343,11 +313,10 @@ def of_family(budget: Budget, family: str) -> Budget:
     A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
     stays as it is.
     """
-    base = BUDGETS.get(budget.base_name)
-    if base is None or budget not in (base, base.with_iterations(budget.n_iterations)):
+    if budget != _namesake(budget):
         return budget
-    counts: dict[str, Any] = dict(_family(family).budgets.get(base.name, {}))
-    if budget != base:
+    counts: dict[str, Any] = dict(_family(family).budgets.get(budget.base_name, {}))
+    if budget.name != budget.base_name:
         counts.pop("n_iterations", None)
     return dataclasses.replace(budget, **counts)
 
@@ -360,24 +329,19 @@ def check_counts(budget: Budget, family: str) -> None:
     Raises:
         SilemError: Naming what differs.
     """
-    base = BUDGETS.get(budget.base_name)
-    if base is None:
+    if (named := _namesake(budget)) is None:
         return
-    own = base if budget.name == base.name else base.with_iterations(budget.n_iterations)
-    expected = dataclasses.asdict(of_family(own, family)) | {"n_trials": budget.n_trials}
+    expected = dataclasses.asdict(of_family(named, family)) | {"n_trials": budget.n_trials}
     differs = [name for name in expected if getattr(budget, name) != expected[name]]
     if differs:
         raise SilemError(
-            f"budget {budget.name!r} has another {', '.join(differs)} than {own.name!r}; give it a"
-            f" name of its own, which begins with none of {', '.join(BUDGETS)}"
+            f"budget {budget.name!r} has another {', '.join(differs)} than {named.name!r}; give it"
+            f" a name of its own, which begins with none of {', '.join(BUDGETS)}"
         )
 
 
 def _family(name: str) -> FamilySettings:
     return FAMILIES.get(name, FAMILIES["halfcheetah"])
-
-
-# ---------------------------------------------------------------- one cell
 
 
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
@@ -386,7 +350,8 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
     Raises:
         SilemError: The method does not learn from those wanted.
     """
-    source, original = METHODS[method].source, _family(bodies.get(body).family).original
+    source, family = METHODS[method].source, bodies.get(body).family
+    original = _family(family).original
     if not source:
         if wanted:
             raise SilemError(f"method {method!r} uses no demonstrations")
@@ -405,56 +370,44 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
     if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
         choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
-    if not wanted and bodies.get(body).family not in FAMILIES:
+    if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
 
 
 def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
-    """Return every hyper-parameter of one cell with where it comes from, the study apart.
+    """Return every hyper-parameter that a method uses on a body, with where it comes from.
 
-    The later overrules the earlier: the defaults, what is chosen for the family, the paper's
-    common table of the family, the paper's best combination of the cell.
-
-    Args:
-        body: The learner's body.
-        method: One of `METHODS`.
-        source: The demonstrations' name.
-
-    Returns:
-        Settings by name, only those that the method uses, in the order of `HyperParameters`, and
-        last the parameters of the body.
+    The later overrules the earlier: the defaults, what is chosen for the family, the paper's common
+    table of the family, the paper's best combination of the cell. They are in the order of
+    `HyperParameters`; the parameters of the body come last. `source` names the demonstrations.
     """
-    family, parameters = bodies.get(body).family, bodies.get(body).parameters
-    used = {
-        item.name: Setting(item.default, item.metadata["source"] or "open: this project's default")
-        for item in dataclasses.fields(HyperParameters)
-        if method in item.metadata["methods"]
-    } | {name: Setting(value, "the body's own") for name, value in parameters.items()}
-    found = dict(_family(family).chosen)
+    family = bodies.get(body).family
+    found = {
+        name: Setting(item.default, item.metadata["source"] or "open: this project's default")
+        for name, item in HyperParameters.used_by(method).items()
+    }
+    found |= {name: Setting(x, "the body's own") for name, x in bodies.get(body).parameters.items()}
+    better = dict(_family(family).chosen)
     if family in FAMILIES:
-        found |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
-    found |= _best(body, method, source, _family(family).stand_in)
-    return used | {name: setting for name, setting in found.items() if name in used}
+        better |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
+    better |= _best(body, method, source, _family(family).stand_in)
+    return found | {name: setting for name, setting in better.items() if name in found}
 
 
 def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
     """Return the supplement's best combination of a cell, or of what stands in for it.
 
-    An expert takes SILEM's, as far as it uses it: of the humanoids' PPO the common table leaves
-    the number of epochs out.
+    That is SILEM's where there is none of the method. Experts too take it as far as they use it
+    where a clip demonstrates: of the humanoids' PPO the common table leaves the epochs out.
     """
-    if not METHODS[method].algorithm:
-        return {}
-    wanted = method
+    learns = bool(METHODS[method].source)
     if method == "ppo":
-        if _family(bodies.get(body).family).original in bodies.names():
-            return {}
-        wanted = "silem"
-    known = body if paper.best_table(body, wanted) else stand_in
-    if not paper.best_table(known, wanted) and METHODS[method].source:
-        wanted, known = "silem", body if paper.best_table(body, "silem") else stand_in
-    table = paper.best_table(known, wanted)
-    label = f"supplement, {table.label}, {known}" if table else ""
-    values = paper.best_combination(known, wanted, source if known == body else "")
-    return {name: Setting(value, label) for name, value in values.items()}
+        learns = _family(bodies.get(body).family).original not in bodies.names()
+    tried = [(m, b) for m in (method, "silem") for b in (body, stand_in)] if learns else []
+    for wanted, known in tried:
+        if table := paper.best_table(known, wanted):
+            label = f"supplement, {table.label}, {known}"
+            values = paper.best_combination(known, wanted, source if known == body else "")
+            return {name: Setting(value, label) for name, value in values.items()}
+    return {}

@@ -4,34 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from silem import paper
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.settings import BUDGETS, Budget
+from silem.study.settings import BUDGETS, Budget, budget_named
 from silem.util.errors import SilemError, choose
+
+Settings = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a study's figures: a method on a body, from some expert, over all trials.
-
-    ``overrides`` are the hyper-parameters that differ from the supplement's best combination,
-    ``n_iterations`` what differs from the budget's.
-    """
+    """One entry of a study's figures: a method on a body, from some expert, over all trials."""
 
     study: str
     method: str
     body: str
     demonstrations: str | None = None
-    overrides: tuple[tuple[str, Any], ...] = ()
-    n_iterations: int | None = None
+    overrides: Settings = ()  # hyper-parameters other than the supplement's best combination
+    n_iterations: int | None = None  # other than the budget's
 
     def config(self, budget: str | Budget, seed: int) -> RunConfig:
         """Return one trial's configuration."""
-        if isinstance(budget, str):
-            budget = BUDGETS[choose("budget", budget, BUDGETS)]
+        budget = budget_named(budget)
         if self.n_iterations is not None and budget.is_evidence:
             budget = BUDGETS[budget.base_name].with_iterations(self.n_iterations)
         return RunConfig.create(
@@ -42,139 +40,110 @@ class Cell:
 
 @dataclass(frozen=True)
 class Study:
-    """Cells that are read together.
+    """Cells that are read together."""
 
-    Attributes:
-        cells: Experts first.
-        seeds: The trials' root seeds, fixed before any run was made.
-        about: What the study is for, in one sentence.
-    """
-
-    cells: tuple[Cell, ...]
-    seeds: tuple[int, ...] = TRIAL_SEEDS
-    about: str = ""
+    cells: tuple[Cell, ...]  # experts first
+    seeds: tuple[int, ...]  # the trials' root seeds, fixed before any run was made
+    about: str
 
 
+STUDIES: dict[str, Study] = {}
 SEARCH_SEEDS = (100,)
 """Root seeds of the search for open settings: none of them is a trial's."""
 
-_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
-_HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
-_FIGURE_2B, _FIGURE_3B, _NO_PENALTY = "halfcheetah", "humanoids", "no-gradient-penalty"
-_HUMANOIDS_NO_PENALTY = "humanoids-no-gradient-penalty"
-_STARTS, _DEMONSTRATORS, _SEARCH = "demonstration-starts", "demonstrators", "open-settings"
-_FIDELITY = "fidelity"
+
+def _define(
+    name: str, about: str, *cells: tuple[Any, ...], seeds: tuple[int, ...] = TRIAL_SEEDS
+) -> None:
+    """Enter a study; of each cell comes what follows the study's name in `Cell`."""
+    STUDIES[name] = Study(tuple(Cell(name, *cell) for cell in cells), seeds, about)
+
+
+_CHEETAHS, _HUMANOIDS = ("HC0", "HC1", "HC2"), ("Humanoid", "HumanoidR", "Atlas")
+_BOTH = ("silem", "silem-minus")
 # The paper gives PPO 8000 iterations on humanoids, with a learning rate of 1e-4 and a clip range of
 # 0.1. The book's budget is a fraction of that, so it takes the larger steps of the paper's other
 # bodies, for every method alike.
 _LARGER_STEPS = tuple((name, paper.common()[name]) for name in ("learning_rate", "clip_range"))
+_NO_PENALTY = (("gradient_penalty", 0.0),)
 
-_Settings = tuple[tuple[str, Any], ...]
+_define(
+    "halfcheetah",
+    "Figure 2b and Table 1",
+    *(("ppo", body) for body in _CHEETAHS),
+    *((method, body, "HC0") for method, body in product(_BOTH, _CHEETAHS)),
+    *(("silem-minus-own", body, body) for body in _CHEETAHS),
+    ("silem-mlp", "HC0", "HC0"),
+    *(("random", body) for body in _CHEETAHS),
+)
+_define(
+    "humanoids",
+    "Figures 3b, 4a and 4b",
+    *(
+        (method, body, None, _LARGER_STEPS)
+        for method, body in product(("ppo", *_BOTH, "peng20", "tpil"), _HUMANOIDS)
+    ),
+    *(("random", body) for body in _HUMANOIDS),
+)
+_define(
+    "humanoids-no-gradient-penalty",
+    "humanoids with the paper's loss for D, which has no gradient penalty",
+    *(
+        (method, body, None, _LARGER_STEPS + _NO_PENALTY)
+        for body, method in product(_HUMANOIDS, _BOTH)
+    ),
+    seeds=TRIAL_SEEDS[:2],
+)
+_define(
+    "demonstration-starts",
+    "episodes that start from the demonstration's states, which the paper argues against",
+    ("silem", "Humanoid", None, (*_LARGER_STEPS, ("starts", "demonstration"))),
+    seeds=TRIAL_SEEDS[:1],
+)
+_define(
+    "no-gradient-penalty",
+    "HalfCheetah with the paper's loss for D, which has no gradient penalty",
+    *((method, body, "HC0", _NO_PENALTY) for method, body in product(_BOTH, _CHEETAHS)),
+    seeds=TRIAL_SEEDS[:3],
+)
+_define(
+    "demonstrators",
+    "each of HC0's five experts as the demonstrator",
+    *(
+        (method, body, f"HC0_s{trial}")
+        for body, trial, method in product(("HC1", "HC2"), TRIAL_SEEDS, _BOTH)
+    ),
+    seeds=TRIAL_SEEDS[:1],
+)
+_define(
+    "fidelity",
+    "experts at the paper's own number of iterations, and with what differs from ppo1",
+    *(("ppo", body, None, (), paper.common()["n_iterations"]) for body in ("HC1", "HC2")),
+    ("ppo", "HC0", None, (("clip_actions", False),)),
+    ("ppo", "HC0", None, (("anneal_clip", True),)),
+    seeds=TRIAL_SEEDS[:1],
+)
+
 # The search of the settings that the paper leaves open, in stages: each stage starts from what the
 # one before chose, and is added here, with what it starts from, before its runs are made. Both
 # methods get the same number of runs. The rule for choosing: highest mean over HC1 and HC2 of the
 # return over the mean return of the body's five experts; within 2 % of the best, the value that is
 # nearer to the paper's, else to the default (page "How the open settings were found").
-_SILEM_SEARCH: tuple[_Settings, ...] = (
-    # 1. T's rate
-    *((("transform_learning_rate", rate),) for rate in (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)),
+_SEARCHED = (
+    # 1. T's rate, and what SILEM-minus has in its place: D's penalty and rate
+    *(("silem", "transform_learning_rate", rate) for rate in (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)),
+    *(("silem-minus", "gradient_penalty", weight) for weight in (0.1, 0.3, 1.0)),
+    *(("silem-minus", "disc_learning_rate", rate) for rate in (3e-4, 3e-3)),
 )
-_SILEM_MINUS_SEARCH: tuple[_Settings, ...] = (
-    # 1. what SILEM-minus has in its place: D's penalty and rate
-    *((("gradient_penalty", weight),) for weight in (0.1, 0.3, 1.0)),
-    *((("disc_learning_rate", rate),) for rate in (3e-4, 3e-3)),
+_define(
+    "open-settings",
+    "what the paper leaves open, on HC1 and HC2",
+    *(
+        (method, body, "HC0", ((name, value),))
+        for (method, name, value), body in product(_SEARCHED, ("HC1", "HC2"))
+    ),
+    seeds=SEARCH_SEEDS,
 )
-
-
-def _search(method: str, settings: tuple[_Settings, ...]) -> tuple[Cell, ...]:
-    return tuple(
-        Cell(_SEARCH, method, body, "HC0", chosen) for chosen in settings for body in ("HC1", "HC2")
-    )
-
-
-STUDIES = {
-    _FIGURE_2B: Study(
-        (
-            *(Cell(_FIGURE_2B, "ppo", body) for body in _HALF_CHEETAHS),
-            *(Cell(_FIGURE_2B, "silem", body, "HC0") for body in _HALF_CHEETAHS),
-            *(Cell(_FIGURE_2B, "silem-minus", body, "HC0") for body in _HALF_CHEETAHS),
-            *(Cell(_FIGURE_2B, "silem-minus-own", body, body) for body in _HALF_CHEETAHS),
-            Cell(_FIGURE_2B, "silem-mlp", "HC0", "HC0"),
-            *(Cell(_FIGURE_2B, "random", body) for body in _HALF_CHEETAHS),
-        ),
-        about="Figure 2b and Table 1",
-    ),
-    _FIGURE_3B: Study(
-        tuple(
-            Cell(_FIGURE_3B, method, body, overrides=() if method == "random" else _LARGER_STEPS)
-            for method in ("ppo", "silem", "silem-minus", "peng20", "tpil", "random")
-            for body in _HUMANOIDS
-        ),
-        about="Figures 3b, 4a and 4b",
-    ),
-    _HUMANOIDS_NO_PENALTY: Study(
-        tuple(
-            Cell(
-                _HUMANOIDS_NO_PENALTY,
-                method,
-                body,
-                overrides=(*_LARGER_STEPS, ("gradient_penalty", 0.0)),
-            )
-            for body in _HUMANOIDS
-            for method in ("silem", "silem-minus")
-        ),
-        TRIAL_SEEDS[:2],
-        "humanoids with the paper's loss for D, which has no gradient penalty",
-    ),
-    _STARTS: Study(
-        (
-            Cell(
-                _STARTS,
-                "silem",
-                "Humanoid",
-                overrides=(*_LARGER_STEPS, ("starts", "demonstration")),
-            ),
-        ),
-        TRIAL_SEEDS[:1],
-        "episodes that start from the demonstration's states, which the paper argues against",
-    ),
-    _NO_PENALTY: Study(
-        tuple(
-            Cell(_NO_PENALTY, method, body, "HC0", (("gradient_penalty", 0.0),))
-            for method in ("silem", "silem-minus")
-            for body in _HALF_CHEETAHS
-        ),
-        TRIAL_SEEDS[:3],
-        "HalfCheetah with the paper's loss for D, which has no gradient penalty",
-    ),
-    _DEMONSTRATORS: Study(
-        tuple(
-            Cell(_DEMONSTRATORS, method, body, f"HC0_s{trial}")
-            for body in ("HC1", "HC2")
-            for trial in TRIAL_SEEDS
-            for method in ("silem", "silem-minus")
-        ),
-        TRIAL_SEEDS[:1],
-        "each of HC0's five experts as the demonstrator",
-    ),
-    _FIDELITY: Study(
-        (
-            *(
-                Cell(_FIDELITY, "ppo", body, n_iterations=paper.common()["n_iterations"])
-                for body in ("HC1", "HC2")
-            ),
-            Cell(_FIDELITY, "ppo", "HC0", overrides=(("clip_actions", False),)),
-            Cell(_FIDELITY, "ppo", "HC0", overrides=(("anneal_clip", True),)),
-        ),
-        TRIAL_SEEDS[:1],
-        "experts at the paper's own number of iterations, and with what differs from ppo1",
-    ),
-    _SEARCH: Study(
-        (*_search("silem", _SILEM_SEARCH), *_search("silem-minus", _SILEM_MINUS_SEARCH)),
-        SEARCH_SEEDS,
-        "what the paper leaves open, on HC1 and HC2",
-    ),
-}
 
 
 def cells(study: str) -> list[Cell]:
@@ -214,18 +183,12 @@ def study_configs(
     Raises:
         SilemError: An unknown study or budget, or more trials than there are fixed seeds.
     """
-    if isinstance(budget, str):
-        budget = BUDGETS[choose("budget", budget, BUDGETS)]
-    seeds = seeds_of(study, budget, n_trials)
+    budget = budget_named(budget)
+    kept, seeds = cells(study), seeds_of(study, budget, n_trials)
     for name, wanted in only.items():
-        allowed = dict.fromkeys(getattr(cell, name) for cell in cells(study))
         for value in wanted or ():
-            choose(name, value, allowed)
-    kept = [
-        cell
-        for cell in cells(study)
-        if all(getattr(cell, name) in wanted for name, wanted in only.items() if wanted)
-    ]
+            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in cells(study)))
+        kept = [cell for cell in kept if not wanted or getattr(cell, name) in wanted]
     return [cell.config(budget, seed) for seed in seeds for cell in kept]
 
 
@@ -237,7 +200,8 @@ def status_table(study: str, budget: Budget) -> str:
     for cell in cells(study):
         source = f" from {cell.demonstrations}" if cell.demonstrations else ""
         states = [runs.state(cell.config(budget, seed)) for seed in seeds]
-        settings = "".join(f" {name}={value}" for name, value in cell.overrides)
-        name = f"{cell.method} {cell.body}{source}{settings if study == _SEARCH else ''}"
+        overrides = cell.overrides if study == "open-settings" else ()
+        settings = "".join(f" {name}={value}" for name, value in overrides)
+        name = f"{cell.method} {cell.body}{source}{settings}"
         lines.append(f"{name:34}" + "".join(f"{state:<10}" for state in states))
     return "\n".join(lines)

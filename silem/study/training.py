@@ -24,22 +24,15 @@ from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
-from silem.study import curve
-from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint
+from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint, Stopwatch
 from silem.study.config import RunConfig
-from silem.study.settings import HUMAN, METHODS, Budget, HyperParameters
+from silem.study.record import CURVE_COLUMNS, curve_row
+from silem.study.settings import HUMAN, METHODS, Budget
 from silem.util import files, seeding
 from silem.util.errors import SilemError
 
 _PROGRESS_EVERY_S = 2.0
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
-# What a run's hyper-parameters say of its policy, its data and its body; the others are arguments
-# of the algorithm, by the same names.
-_NOT_ITS_OWN = {
-    "learning_rate", "clip_range", "gamma", "gae_lambda", "n_epochs", "minibatch_size", "adam_eps",
-    "policy_hidden", "log_std_init", "anneal_clip", "clip_actions", "n_trajectories",
-    "starts",
-}  # fmt: skip
 
 
 def task_options(config: RunConfig) -> dict[str, Any]:
@@ -83,71 +76,10 @@ def arguments(config: RunConfig) -> dict[str, Any]:
 
     PPO is that of OpenAI baselines' ppo1, the paper's: separate policy and value networks, linear
     decay of the learning rate to 0, no gradient clipping, no entropy bonus.
-
-    Args:
-        config: The run; any method but ``random``.
     """
-    used = HyperParameters.names_used_by(config.method)
-    own = {name: getattr(config.hyper, name) for name in used if name not in _NOT_ITS_OWN}
-    if config.transform is not None:
-        own["transform"] = config.transform
-    return own | _ppo_arguments(config)
-
-
-def settings(
-    body: str, method: str = "silem", *, budget: str | Budget = "book", seed: int = 0, **hyper: Any
-) -> dict[str, Any]:
-    """Return the settings of a cell as the arguments that its algorithm takes.
-
-    ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
-    trains: the paper's best combination where it prints one, this project's choice elsewhere.
-
-    Args:
-        body: The learner's body.
-        method: One of `METHODS` but ``random``.
-        budget: Whose number of steps per iteration and environments count.
-        seed: The run's root seed.
-        **hyper: Hyper-parameters to be changed.
-
-    Raises:
-        SilemError: As `RunConfig.create`; or the method learns nothing.
-    """
-    config = RunConfig.create(body, method, None, budget, seed, **hyper)
-    if not METHODS[method].algorithm:
-        raise SilemError(f"method {method!r} learns nothing, so it has no settings")
-    return arguments(config)
-
-
-def make_policy_model(config: RunConfig, env: VecEnv) -> PPO:
-    """Build the untrained policy of a run as a plain PPO model, whatever its method.
-
-    Args:
-        config: The run; any method but ``random``.
-        env: The environments.
-    """
-    return PPO("MlpPolicy", env, **_ppo_arguments(config))
-
-
-def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
-    """Build a run's untrained model.
-
-    Args:
-        config: The run; any method but ``random``.
-        env: The training environments.
-        demonstrations: The expert's, at least as many as the run uses; None for an expert.
-    """
-    make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
-    if demonstrations is None:
-        return make("MlpPolicy", env, **arguments(config))
-    return make(
-        "MlpPolicy", env, demonstrations.first(config.hyper.n_trajectories), **arguments(config)
-    )
-
-
-def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
     hyper, budget = config.hyper, config.budget
     layers = list(hyper.policy_hidden)
-    return dict(
+    ppo = dict(
         learning_rate=_annealed(hyper.learning_rate),
         n_steps=budget.steps_per_iteration // budget.n_envs,
         batch_size=hyper.minibatch_size,
@@ -169,6 +101,10 @@ def _ppo_arguments(config: RunConfig) -> dict[str, Any]:
         device="cpu",
         verbose=0,
     )
+    # What an expert has too says how PPO learns; the others are the imitator's, by the same names.
+    others = {*hyper.used_by("ppo"), "n_trajectories"}
+    own = {n: getattr(hyper, n) for n in hyper.used_by(config.method) if n not in others}
+    return own | ({"transform": config.transform} if config.transform else {}) | ppo
 
 
 def _annealed(start: float) -> Callable[[float], float]:
@@ -176,47 +112,52 @@ def _annealed(start: float) -> Callable[[float], float]:
     return lambda progress_remaining: start * progress_remaining
 
 
-class Segments(BaseCallback):
-    """Cuts training into segments, keeps the learning curve and shows progress.
+def settings(
+    body: str, method: str = "silem", *, budget: str | Budget = "book", seed: int = 0, **hyper: Any
+) -> dict[str, Any]:
+    """Return the settings of a cell as the arguments that its algorithm takes.
 
-    Args:
-        config: The run.
-        folder: Where the checkpoint and the progress file go.
-        start: What training goes on from; at iteration 0 it holds no model yet.
-        progress: Show a progress bar.
+    ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
+    trains: the paper's best combination where it prints one, this project's choice elsewhere.
+
+    The arguments are those of `RunConfig.create`.
+
+    Raises:
+        SilemError: As there; or the method learns nothing.
     """
+    config = RunConfig.create(body, method, None, budget, seed, **hyper)
+    if not METHODS[method].algorithm:
+        raise SilemError(f"method {method!r} learns nothing, so it has no settings")
+    return arguments(config)
+
+
+def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
+    """Build the untrained model of a run of any method but ``random``.
+
+    The demonstrations are at least as many as the run uses; None for an expert.
+    """
+    make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
+    data = [demonstrations.first(config.hyper.n_trajectories)] if demonstrations else []
+    return make("MlpPolicy", env, *data, **arguments(config))
+
+
+class Segments(BaseCallback):
+    """Cuts a training into segments, keeps its learning curve and shows progress (see `train`)."""
 
     def __init__(
-        self, config: RunConfig, folder: Path, start: Checkpoint, *, progress: bool
+        self, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, bar: tqdm[Any]
     ) -> None:
         super().__init__()
         self._config, self._folder, self._start = config, folder, start
+        self._spent, self._bar = spent, bar
         self._rows = list(start.curve)
         self._return: float | None = None
-        self._began = self._shown = time.perf_counter()
-        self._processor_began = time.process_time()
-        total, done = config.budget.n_iterations, start.iteration
-        self._bar = tqdm(
-            total=total, initial=done, desc=config.run_id, unit="it", disable=not progress
-        )
+        self._shown = time.perf_counter()
 
     @property
     def curve(self) -> np.ndarray:
         """The learning curve so far, (iterations, columns)."""
-        return np.array(self._rows).reshape(-1, len(curve.COLUMNS))
-
-    @property
-    def spent(self) -> dict[str, Any]:
-        """Wall and processor time spent on this run so far, over all sessions.
-
-        Processor time is None where an earlier session did not count it.
-        """
-        before = self._start.processor_time_s
-        processor_s = time.process_time() - self._processor_began
-        return {
-            "wall_time_s": self._start.wall_time_s + time.perf_counter() - self._began,
-            "processor_time_s": None if before is None else before + processor_s,
-        }
+        return np.array(self._rows).reshape(-1, len(CURVE_COLUMNS))
 
     @property
     def _ppo(self) -> PPO:
@@ -227,13 +168,10 @@ class Segments(BaseCallback):
         return self.model.num_timesteps // self._config.budget.steps_per_iteration
 
     def _on_rollout_start(self) -> None:
-        iteration = self._iteration()
-        if iteration > self._start.iteration:
-            self._note(iteration)
-        if iteration % self._config.budget.checkpoint_every == 0:
-            if iteration > self._start.iteration:
-                self._save()
-            self._begin_segment(iteration)
+        due = self._iteration() % self._config.budget.checkpoint_every == 0
+        self._end_iteration(save=due)
+        if due:
+            self._begin_segment(self._iteration())
 
     def _begin_segment(self, iteration: int) -> None:
         model, seed, env = self._ppo, self._config.seed, self.training_env
@@ -248,73 +186,53 @@ class Segments(BaseCallback):
         return True
 
     def _on_training_end(self) -> None:
-        if self._iteration() > self._start.iteration:
-            self._note(self._iteration())
-            self._save()
-        self._bar.close()
+        self._end_iteration(save=True)
 
-    def _note(self, iteration: int) -> None:
-        """Keep the numbers of the iteration that has just been finished."""
-        stats = self._ppo.iteration_stats
-        self._rows.append(curve.row(iteration, self.model.num_timesteps, stats))
+    def _end_iteration(self, *, save: bool) -> None:
+        """Keep the numbers of the iteration that has just been finished, if any was."""
+        iteration, stats = self._iteration(), self._ppo.iteration_stats
+        if iteration == self._start.iteration:
+            return
+        self._rows.append(curve_row(iteration, self.model.num_timesteps, stats))
         self._bar.update()
         self._return = stats.get("return_mean", self._return)  # most iterations end no episode
-        now = time.perf_counter()
-        if now - self._shown < _PROGRESS_EVERY_S:
-            return
-        self._shown = now
+        if time.perf_counter() - self._shown > _PROGRESS_EVERY_S:
+            self._show(iteration)
+        if save:
+            arrays, spent = self._ppo.state_arrays(), self._spent()
+            now = dict(iteration=iteration, curve=self.curve, model=arrays, **spent)
+            dataclasses.replace(self._start, **now).save(self._folder / CHECKPOINT)
+
+    def _show(self, iteration: int) -> None:
+        self._shown = time.perf_counter()
         if self._return is not None:
             self._bar.set_postfix_str(f"return {self._return:.0f}")
-        content = {
-            "iteration": iteration,
-            "n_iterations": self._config.budget.n_iterations,
-            "return": self._return,
-        }
+        total = self._config.budget.n_iterations
+        content = {"iteration": iteration, "n_iterations": total, "return": self._return}
         files.write_json(self._folder / PROGRESS, content)
-
-    def _save(self) -> None:
-        checkpoint = dataclasses.replace(
-            self._start,
-            iteration=self._iteration(),
-            **self.spent,
-            curve=self.curve,
-            model=self._ppo.state_arrays(),
-        )
-        checkpoint.save(self._folder / CHECKPOINT)
-
-    def close(self) -> None:
-        """Take the progress bar away."""
-        self._bar.close()
 
 
 def train(
-    model: PPO, config: RunConfig, folder: Path, start: Checkpoint, *, progress: bool
-) -> Segments:
-    """Train a model from a checkpoint's iteration to the end of its budget.
+    model: PPO, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, progress: bool
+) -> np.ndarray:
+    """Train a model of `make_model` from a checkpoint's iteration to the end of its budget.
 
-    Args:
-        model: From `make_model`; given the checkpoint's state here.
-        config: The run.
-        folder: The run's working folder.
-        start: The checkpoint to go on from; iteration 0 means a fresh start.
-        progress: Show a progress bar.
-
-    Returns:
-        The callback, with the learning curve and the time spent.
+    Checkpoints and the progress file go to `folder`. Returns the curve, (iterations, columns).
     """
-    segments = Segments(config, folder, start, progress=progress)
-    try:
-        if start.iteration:
-            model.load_state_arrays(start.model)
-        model.num_timesteps = start.iteration * config.budget.steps_per_iteration
-        remaining = config.budget.n_steps - model.num_timesteps
+    if start.iteration:
+        model.load_state_arrays(start.model)
+    model.num_timesteps = start.iteration * config.budget.steps_per_iteration
+    remaining = config.budget.n_steps - model.num_timesteps
+    bar = tqdm(
+        total=config.budget.n_iterations, initial=start.iteration, desc=config.run_id, unit="it",
+        disable=not progress,
+    )  # fmt: skip
+    with bar, warnings.catch_warnings():
+        # a run's reward is the paper's; the book tells what it does where episodes end
+        warnings.simplefilter("ignore", SurvivalWarning)
+        segments = Segments(config, folder, start, spent, bar)
         if remaining:
             # reset_num_timesteps=False: the learning rate decays over the whole budget, and a
             # resumed run goes on where it was.
-            with warnings.catch_warnings():
-                # a run's reward is the paper's; the book tells what it does where episodes end
-                warnings.simplefilter("ignore", SurvivalWarning)
-                model.learn(remaining, callback=segments, reset_num_timesteps=False)
-    finally:
-        segments.close()
-    return segments
+            model.learn(remaining, callback=segments, reset_num_timesteps=False)
+    return segments.curve

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import curve
 from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.record import (
     CURVE,
+    CURVE_COLUMNS,
+    MAX_ROWS,
     PACKAGES,
     POLICY,
     RECORD,
@@ -24,7 +26,8 @@ from silem.study.record import (
     RunRecord,
     git,
     provenance,
-)
+)  # fmt: skip
+from silem.study.settings import Budget
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
@@ -51,37 +54,21 @@ class Verdict:
         return f"{self.name}: {self.outcome} ({self.why})"
 
 
-# ---------------------------------------------------------------- what a record holds
-
-
 def check(folder: Path) -> RunRecord:
-    """Load one record and check that it is whole and agrees with itself.
+    """Load the record in a folder and check that it is whole and agrees with itself.
 
     Checked are its configuration (through the one strict door), that the run id is the
     configuration's and the folder's name, its counts against the configuration, its means and
     deviations against the single returns, that every number lies where it can, and every file
     beside it: its SHA-256, whose it is, and that it can be read.
 
-    Args:
-        folder: The run's folder.
-
-    Returns:
-        The record.
-
     Raises:
         SilemError: Naming the folder and what is wrong.
     """
     record = RunRecord.load(folder)
     try:
-        config = record.run_config()
-        if not config.run_id == record.run_id == folder.name:
-            raise SilemError(
-                f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
-            )
-        _check_finite({"evaluation": record.evaluation, "training": record.training})
-        _check_counts(record, config)
-        _check_ranges(record)
-        _check_files(record, config)
+        for fault in _faults(record, folder.name):
+            raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -89,88 +76,87 @@ def check(folder: Path) -> RunRecord:
     return record
 
 
-def _check_finite(value: Any, where: str = "record") -> None:
-    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise SilemError(f"{where} is not finite")
-    if isinstance(value, list):
-        value = dict(enumerate(value))
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            _check_finite(entry, f"{where}.{key}")
+def _faults(record: RunRecord, name: str) -> Iterator[str]:
+    """Yield what is wrong with a record of that name, each in the knowledge of what precedes."""
+    config, evaluation, training = record.run_config(), record.evaluation, record.training
+    if not config.run_id == record.run_id == name:
+        yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
+    yield from _not_finite({"evaluation": evaluation, "training": training})
 
+    returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
+    if not len(returns) == evaluation["n_episodes"] == n_episodes:
+        counted = f"{len(returns)} returns of {evaluation['n_episodes']} episodes"
+        yield f"{counted}; its budget has {n_episodes}"
+    n_steps = config.budget.n_steps if config.method != "random" else 0
+    if training["n_steps"] != n_steps:
+        yield f"{training['n_steps']} steps of training; its budget: {n_steps}"
+    for kind, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
+        if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
+            yield f"return_{kind} is not the {kind} of the episodes' returns"
 
-def _check_counts(record: RunRecord, config: RunConfig) -> None:
-    evaluation, budget = record.evaluation, config.budget
-    returns = evaluation["returns"]
-    if not len(returns) == evaluation["n_episodes"] == budget.n_eval_episodes:
-        raise SilemError(
-            f"{len(returns)} returns of {evaluation['n_episodes']} episodes; its budget has"
-            f" {budget.n_eval_episodes}"
-        )
-    n_steps = budget.n_steps if config.method != "random" else 0
-    if record.training["n_steps"] != n_steps:
-        raise SilemError(f"{record.training['n_steps']} steps of training; its budget: {n_steps}")
-    for name, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
-        if abs(float(found) - evaluation[f"return_{name}"]) > _ROUNDING:
-            raise SilemError(f"return_{name} is not the {name} of the episodes' returns")
-
-
-def _check_ranges(record: RunRecord) -> None:
-    evaluation, speed_m_s = record.evaluation, record.evaluation["speed_m_s"]
     # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
     # What other environments pay is not known, nor how fast they are.
+    speed_m_s = evaluation["speed_m_s"]
     highest = math.inf if speed_m_s is None else MAX_STEPS * (1 + max(0.0, speed_m_s))
-    for name, value, low, high in (
+    for what, value, low, high in (
         ("upright", evaluation["upright"], 0.0, 1.0),
         ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S),
         ("return_mean", evaluation["return_mean"], -math.inf, highest),
         ("wall_time_s", record.wall_time_s, 0.0, math.inf),
         ("processor_time_s", record.processor_time_s, 0.0, math.inf),
-        ("steps_per_s", record.training["steps_per_s"], 0.0, math.inf),
+        ("steps_per_s", training["steps_per_s"], 0.0, math.inf),
     ):
         if value is not None and not (low <= value <= high and value < math.inf):
-            raise SilemError(f"{name} is {value:g}; it can be {low:g} to {high:g}")
+            yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
+    yield from _faults_of_files(record, config)
+
+
+def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
     if record.status != "finished":
-        raise SilemError(f"status is {record.status!r}; a record is of a finished run")
-    if (record.demonstrations_sha256 is None) != (not record.config["demonstrations"]):
-        raise SilemError(f"demonstrations_sha256 is {record.demonstrations_sha256!r}")
+        yield f"status is {record.status!r}; a record is of a finished run"
+    if (record.demonstrations_sha256 is None) != (not config.demonstrations):
+        yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
 
-
-def _check_files(record: RunRecord, config: RunConfig) -> None:
     expected = [] if config.method == "random" else [CURVE, POLICY]
     expected += [TRANSFORM] if config.transform == "affine" else []
     if sorted(record.files) != sorted(expected):
-        raise SilemError(f"it has the files {sorted(record.files)}; expected: {sorted(expected)}")
+        yield f"it has the files {sorted(record.files)}; expected: {sorted(expected)}"
     if POLICY in expected:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
-            raise SilemError(f"{POLICY} is the policy of {about.get('run_id')!r}")
-        _check_curve(files.read_csv(record.file(CURVE)), config)
+            yield f"{POLICY} is the policy of {about.get('run_id')!r}"
+        yield from _faults_of_curve(files.read_csv(record.file(CURVE)), config.budget)
     if TRANSFORM in expected:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
         if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
-            raise SilemError(f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each")
+            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
         if not all(np.isfinite(array).all() for array in arrays.values()):
-            raise SilemError(f"{TRANSFORM} holds NaN or infinity")
+            yield f"{TRANSFORM} holds NaN or infinity"
 
 
-def _check_curve(columns: dict[str, np.ndarray], config: RunConfig) -> None:
-    if list(columns) != [name for name in curve.COLUMNS if name in columns]:
-        raise SilemError(f"{CURVE} has the columns {', '.join(columns)}")
-    iterations, budget = columns["iteration"], config.budget
-    steps = iterations * budget.steps_per_iteration
+def _not_finite(value: Any, where: str = "record") -> Iterator[str]:
+    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"{where} is not finite"
+    if isinstance(value, list):
+        value = dict(enumerate(value))
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from _not_finite(entry, f"{where}.{key}")
+
+
+def _faults_of_curve(columns: dict[str, np.ndarray], budget: Budget) -> Iterator[str]:
+    if list(columns) != [name for name in CURVE_COLUMNS if name in columns]:
+        yield f"{CURVE} has the columns {', '.join(columns)}"
+    iterations = columns["iteration"]
     if (
-        not 1 <= len(iterations) <= curve.MAX_ROWS
+        not 1 <= len(iterations) <= MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
-        or not np.array_equal(columns["timesteps"], steps)
+        or not np.array_equal(columns["timesteps"], iterations * budget.steps_per_iteration)
     ):
-        raise SilemError(f"{CURVE} is no curve of {budget.n_iterations} iterations")
-
-
-# ---------------------------------------------------------------- where it came from
+        yield f"{CURVE} is no curve of {budget.n_iterations} iterations"
 
 
 def check_source(record: RunRecord) -> None:
@@ -201,20 +187,12 @@ def _history() -> frozenset[str] | None:
     return frozenset((git("rev-list", "--all") or "").split())
 
 
-# ---------------------------------------------------------------- what its policy does
-
-
 def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
     """Check a record and all it rests on, and evaluate its policy anew on its first episodes.
 
-    Evaluations have fixed seeds and step up to 8 environments at once, each with its number of
-    episodes fixed beforehand. So the same batch, stopped after `n_episodes`, meets the recorded
-    episodes in the recorded order.
-
-    Args:
-        folder: The run's folder.
-        n_episodes: How many episodes; 0 leaves the policy alone. All of them also verify speed and
-            share upright.
+    Evaluations have fixed seeds, and each environment's number of episodes is fixed beforehand. So
+    the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order;
+    all of them also verify speed and share upright, none leaves the policy alone.
 
     Returns:
         `EXACT` if every return is the recorded one. `WITHIN` if they are not, the record's
@@ -234,55 +212,46 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
 def _evaluated(record: RunRecord, n: int) -> Verdict:
     import torch  # what follows needs physics and networks; what precedes does not
 
-    from silem.study.evaluate import EVALUATION_SEED, episodes
-    from silem.study.policies import load_policy
+    from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
     from silem.study.training import task_options
 
     torch.set_num_threads(1)
     evaluation, config = record.evaluation, record.run_config()
-    policy, task = load_policy(record), task_options(config)
-    every = episodes(policy, config.learner, evaluation["n_episodes"], EVALUATION_SEED, **task)
-    there = list(itertools.islice(every, n))
-    every.close()
+    total, policy, task = evaluation["n_episodes"], load_policy(record), task_options(config)
+    with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:
+        there = list(itertools.islice(every, n))
     recorded = np.array(evaluation["returns"][:n])
     returns = np.array([round(episode.episode_return, 3) for episode in there])
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
-    if n == evaluation["n_episodes"]:
-        for name in ("speed_m_s", "upright"):
-            values = [getattr(episode, name) for episode in there]
-            if evaluation[name] is None:
-                same = same and set(values) == {None}
-            else:
-                same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
-    difference = abs(float(returns.mean() - recorded.mean()))
-    spread = max(evaluation["return_std"], float(returns.std()))
-    bound = TOLERANCE * spread * math.sqrt(2 / n)
+    for name in ("speed_m_s", "upright") if n == total else ():
+        values = [getattr(episode, name) for episode in there]
+        if evaluation[name] is None:
+            same = same and set(values) == {None}
+        else:
+            same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
         return Verdict(record.run_id, EXACT, why)
     if _made_here(record):
         return Verdict(record.run_id, NOT, f"{why}, though processor and libraries are the same")
-    outcome = WITHIN if difference <= bound else NOT
+    spread = max(evaluation["return_std"], float(returns.std()))
+    bound = TOLERANCE * spread * math.sqrt(2 / n)
+    outcome = WITHIN if abs(returns.mean() - recorded.mean()) <= bound else NOT
     return Verdict(record.run_id, outcome, f"{why}, allowed {bound:.1f} apart")
 
 
 def _made_here(record: RunRecord) -> bool:
     """Tell whether this processor, these kernels and these libraries evaluated a record."""
     here, there = provenance(), record.provenance
-    keys = ("processor", "kernels")
-    machines = [source.get("machine") or {} for source in (here, there)]
-    return all(machines[0].get(key) == machines[1].get(key) for key in keys) and all(
-        here["packages"][name] == there["packages"].get(name) for name in PACKAGES
+    machine, packages = there.get("machine") or {}, there["packages"]
+    return all(here["machine"][key] == machine.get(key) for key in ("processor", "kernels")) and (
+        here["packages"] == {name: packages.get(name) for name in PACKAGES}
     )
 
 
 def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterator[Verdict]:
-    """Verify one run, or a study's published records, or all of them and the demonstrations.
-
-    Args:
-        name: A run's id or a study; None means everything that is published.
-        n_episodes: As for `verify`.
+    """Verify one run, or a study's published records, or (None) all of them and demonstrations.
 
     Raises:
         SilemError: There is nothing of this name.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import numbers
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -17,16 +17,8 @@ class SilemError(ValueError):
 def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
     """Return `value` if it is one of the allowed names.
 
-    Args:
-        kind: What the name stands for ("body", "method", ...), used in the message.
-        value: The name to check.
-        allowed: The allowed names, in the order in which the message lists them.
-
-    Returns:
-        `value`, unchanged.
-
     Raises:
-        SilemError: If `value` is not allowed.
+        SilemError: It is not; the message says which `kind` of name and lists what is allowed.
     """
     names = list(allowed)
     if value not in names:
@@ -37,20 +29,12 @@ def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
 def check_name(kind: str, value: Any, longest: int = 64) -> str:
     """Return `value` if it can be the name of a file or folder; every name that becomes one may.
 
-    Args:
-        kind: What the name stands for ("study", "run id", ...), used in the message.
-        value: The name to check.
-        longest: How many characters it may have.
-
     Raises:
-        SilemError: If it holds anything but letters, digits, ``.``, ``_`` and ``-``, does not begin
-            with a letter or digit, or is too long.
+        SilemError: It holds anything but letters, digits, ``.``, ``_`` and ``-``, does not begin
+            with a letter or digit, or is longer than `longest`.
     """
-    if (
-        not isinstance(value, str)
-        or len(value) > longest
-        or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value)
-    ):
+    allowed = rf"[A-Za-z0-9][A-Za-z0-9._-]{{0,{longest - 1}}}"
+    if not isinstance(value, str) or not re.fullmatch(allowed, value):
         raise SilemError(
             f"{kind} must be a name of at most {longest} letters, digits, '.', '_' and '-', and"
             f" begin with a letter or digit, not {clipped(repr(value))}"
@@ -77,22 +61,16 @@ class NumberKind:
     holds: Callable[[Any], bool]
 
 
-COUNT = NumberKind(
-    "a whole number from 1", lambda n: isinstance(n, numbers.Integral) and int(n) >= 1
-)
+COUNT = NumberKind("a whole number from 1", lambda n: isinstance(n, Integral) and int(n) > 0)
 RATE = NumberKind("a number above 0", lambda x: x > 0)
 WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x < math.inf)
 FACTOR = NumberKind("a number above 0 and at most 1", lambda x: 0 < x <= 1)
 
 
 def check_numbers(values: Mapping[str, Any], kinds: Mapping[str, NumberKind]) -> None:
-    """Check those of the named values that there are.
-
-    Raises:
-        SilemError: A value is no number, or not of its kind.
-    """
+    """Raise SilemError where one of the named values that there are is no number of its kind."""
     for name, kind in kinds.items():
         value = values.get(name, 1)
-        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        number = isinstance(value, Real) and not isinstance(value, bool)
         if not number or not kind.holds(value):
             raise SilemError(f"{name} must be {kind.words}, not {value!r}")

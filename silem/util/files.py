@@ -27,8 +27,6 @@ import safetensors.numpy
 
 from silem.util.errors import SilemError, reason
 
-Arrays = dict[str, np.ndarray]
-
 MAX_UNFOLDED_BYTES = 1 << 29
 """What the arrays of one npz file may take in memory; a small file can claim to hold any amount."""
 
@@ -53,18 +51,14 @@ def write_bytes(path: Path, data: bytes) -> None:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        _sync_folder(path.parent)
+        # A rename is only safe against power loss once the folder's own entry is on the disk.
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
     except OSError as error:
         raise SilemError(f"cannot write {path}: {reason(error)}") from error
-
-
-def _sync_folder(folder: Path) -> None:
-    # A rename is only safe against power loss once the folder's own entry is on the disk.
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def leftovers(folder: Path) -> list[Path]:
@@ -73,11 +67,7 @@ def leftovers(folder: Path) -> list[Path]:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Delete the `leftovers` of a folder; only for who holds the lock of those that write there.
-
-    Raises:
-        SilemError: One of them cannot be deleted.
-    """
+    """Delete the `leftovers` of a folder; only for who holds the lock of those that write there."""
     for leftover in leftovers(folder):
         try:
             leftover.unlink(missing_ok=True)
@@ -85,18 +75,15 @@ def remove_leftovers(folder: Path) -> None:
             raise SilemError(f"cannot remove {leftover}: {reason(error)}") from error
 
 
-def _read_bytes(path: Path) -> bytes:
+@contextmanager
+def _content(path: Path, what: str) -> Iterator[bytes]:
+    """Give a file to a parser; whatever that raises becomes one line that names the file."""
     try:
-        return Path(path).read_bytes()
+        data = Path(path).read_bytes()
     except (OSError, ValueError, MemoryError) as error:  # ValueError: a NUL in the path
         raise SilemError(f"cannot read {path}: {reason(error)}") from error
-
-
-@contextmanager
-def _parsing(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever a parser of foreign bytes raises into one line that names the file."""
     try:
-        yield
+        yield data
     except Exception as error:  # zlib, lzma, struct, memory, overflow, recursion, ...: no list ends
         raise SilemError(f"{path} is {what} ({reason(error)})") from error
 
@@ -120,13 +107,8 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        SilemError: The file is missing, truncated or no JSON.
-    """
-    data = _read_bytes(path)
-    with _parsing(path, "no valid JSON"):
+    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON."""
+    with _content(path, "no valid JSON") as data:
         return json.loads(data)
 
 
@@ -137,8 +119,7 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
         SilemError: The file is missing, holds anything but numbers below its one line of names, or
             its rows differ in length.
     """
-    data = _read_bytes(path)
-    with _parsing(path, "no table of numbers"):
+    with _content(path, "no table of numbers") as data:
         names, *rows = csv.reader(io.StringIO(data.decode()), strict=True)
         if len(set(names)) != len(names) or any(len(row) != len(names) for row in rows):
             raise ValueError("its rows and its line of names do not match")
@@ -165,16 +146,15 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read_npz(path: Path) -> Arrays:
+def read_npz(path: Path) -> dict[str, np.ndarray]:
     """Read every array of an npz file.
 
     Raises:
         SilemError: The file is missing, truncated, damaged, encrypted, no npz, holds a pickle or
             one name twice, or its arrays take more than `MAX_UNFOLDED_BYTES`.
     """
-    data = _read_bytes(path)
     with (
-        _parsing(path, "no readable npz file of plain arrays"),
+        _content(path, "no readable npz file of plain arrays") as data,
         zipfile.ZipFile(io.BytesIO(data)) as archive,
     ):
         names = [entry.filename.removesuffix(".npy") for entry in archive.infolist()]
@@ -210,14 +190,13 @@ def write_tensors(
     write_bytes(path, data)
 
 
-def read_tensors(path: Path) -> tuple[Arrays, dict[str, str]]:
+def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the arrays and the metadata of a file made by `write_tensors`.
 
     Raises:
         SilemError: The file is missing, truncated, damaged or not of this project.
     """
-    data = _read_bytes(path)
-    with _parsing(path, "damaged or no safetensors file of this project"):
+    with _content(path, "damaged or no safetensors file of this project") as data:
         # safetensors.numpy.load drops the metadata; they stand in the header, whose length
         # is the first 8 bytes.
         arrays = safetensors.numpy.load(data)
@@ -229,12 +208,9 @@ def read_tensors(path: Path) -> tuple[Arrays, dict[str, str]]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal.
-
-    Raises:
-        SilemError: The file cannot be read.
-    """
-    return hashlib.sha256(_read_bytes(path)).hexdigest()
+    """Return the SHA-256 of a file, in hexadecimal; raises SilemError if it cannot be read."""
+    with _content(path, "") as data:
+        return hashlib.sha256(data).hexdigest()
 
 
 @contextmanager

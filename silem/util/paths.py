@@ -1,9 +1,8 @@
 """Every folder of the project, named once.
 
 ``SILEM_DATA_DIR`` moves the folders that the program writes to. Without it they are ``data/`` in a
-checkout, or ``silem-data/`` in the working folder of whoever installed the package. The paper's
-tables, the bodies' constants and the human's clips are part of the package and never move. The
-functions only name folders; whoever writes a file creates its folder.
+checkout, or ``silem-data/`` in the working folder of whoever installed the package. What is part of
+the package never moves. The functions only name folders; whoever writes a file creates its folder.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from pathlib import Path
 from silem.util.errors import SilemError, check_name
 
 PACKAGE = Path(__file__).resolve().parent.parent
-"""The folder of the package."""
 
 REPO: Path
 """The root of the checkout that the package lies in. Where it was installed from a wheel there is
@@ -23,8 +21,7 @@ none, and asking for it raises SilemError; `checkout` returns None instead."""
 
 def checkout() -> Path | None:
     """Return the root of the checkout that the package lies in, or None if it was installed."""
-    root = PACKAGE.parent
-    return root if (root / "pyproject.toml").is_file() else None
+    return PACKAGE.parent if (PACKAGE.parent / "pyproject.toml").is_file() else None
 
 
 def __getattr__(name: str) -> Path:

@@ -23,15 +23,7 @@ def _sequence(root: int, names: tuple[str | int, ...]) -> np.random.SeedSequence
 
 
 def child_seed(root: int, *names: str | int) -> int:
-    """Derive the seed of a named stream from a root seed.
-
-    Args:
-        root: The run's seed, a non-negative integer.
-        *names: What the stream is for, e.g. ``("env", 25)``.
-
-    Returns:
-        An integer in ``[0, 2**31)``, which every library at hand accepts as a seed.
-    """
+    """Return the seed in ``[0, 2**31)`` of a stream of a root seed, named e.g. ``"env", 25``."""
     return int(_sequence(root, names).generate_state(1)[0] >> 1)
 
 

@@ -70,4 +70,4 @@ def test_a_broken_link_is_seen(tmp_path: Path) -> None:
 def test_every_page_of_results_names_its_runs_or_says_that_there_are_none(html: Path) -> None:
     for name in ("05_halfcheetah", "06_affine_or_mlp"):
         text = (html / "notebooks" / f"{name}.html").read_text()
-        assert "python -m silem" in text or "no run" in text
+        assert "silem run" in text or "no run" in text

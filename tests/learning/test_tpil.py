@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from silem import SilemError
 from silem.algorithms import SILEM, TPIL
 from silem.algorithms.networks import ThirdPersonDiscriminator, reverse_gradient
-from silem.study import curve
+from silem.study.record import curve_row
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
 
@@ -167,7 +167,7 @@ def test_both_discriminators_are_logged(tmp_path) -> None:
         assert last[f"imitation/{name}"] == pytest.approx(model.iteration_stats[name], abs=1e-3)
     assert 0.0 < last["imitation/disc_reward"] < 200.0
     # a column that curves do not have is no trouble
-    assert np.isfinite(curve.row(1, 64, model.iteration_stats)).sum() >= 5
+    assert np.isfinite(curve_row(1, 64, model.iteration_stats)).sum() >= 5
 
 
 def test_same_seed_same_arrays() -> None:

@@ -24,6 +24,7 @@ from papermill.parameterize import parameterize_notebook
 from traitlets import Type
 from traitlets.config import Config
 
+from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
@@ -31,7 +32,7 @@ from silem.report import film
 from silem.study.config import RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import POLICY, RunRecord
-from silem.study.training import make_policy_model
+from silem.study.training import settings
 from silem.util import files
 from silem.util.errors import SilemError
 
@@ -69,7 +70,7 @@ def add_untrained_policy(config: RunConfig) -> None:
     record = runs.find(config.run_id)
     assert record is not None
     env = make_vec(config.body, n_envs=1)
-    model = make_policy_model(config, env)
+    model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
     env.close()
     path = record.folder / POLICY
     files.write_tensors(path, model.policy_arrays(), {"run_id": config.run_id})
@@ -160,7 +161,7 @@ def no_offscreen_rendering(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise SilemError("no offscreen rendering with MUJOCO_GL='disable'")
 
-    monkeypatch.setattr(film, "MujocoCamera", refuse)
+    monkeypatch.setattr(film, "Camera", refuse)
 
 
 @pytest.fixture

@@ -7,21 +7,20 @@ import difflib
 import errno
 import itertools
 import math
-import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import gymnasium
+import mujoco
 import numpy as np
 import pybullet
 import pybullet_data
 import pytest
 
 from silem import bodies
-from silem.bodies import half_cheetah, mjcf
-from silem.bodies.mjcf import shapes
+from silem.bodies import half_cheetah, measure, mjcf
 from silem.envs import make_vec
 from silem.envs.bullet.simulator import Simulator
 from silem.util.errors import SilemError
@@ -36,9 +35,17 @@ def changed_lines(name: str, original: str) -> list[str]:
     return [line[1:].strip() for line in difflib.ndiff(before, after) if line.startswith("+ ")]
 
 
+def compiled(name: str) -> mujoco.MjModel:
+    return measure.spec(bodies.get(name)).compile()
+
+
 def ends(name: str, geom: str) -> tuple[np.ndarray, np.ndarray]:
-    (shape,) = (shape for shape in shapes(bodies.get(name)) if shape.name == geom)
-    return shape.start, shape.end
+    """Where the centres of a capsule's caps are in its link's frame."""
+    shape, axes = compiled(name).geom(geom), np.empty(9)
+    mujoco.mju_quat2Mat(axes, shape.quat)
+    half = axes[2::3] * shape.size[1]
+    back, front = sorted((shape.pos - half, shape.pos + half), key=lambda end: end[0])
+    return back, front
 
 
 def test_names_are_in_the_papers_order():
@@ -75,7 +82,7 @@ def test_ant6_differs_from_the_original_in_its_innermost_links():
 @pytest.mark.parametrize(("name", "length"), [("HC0", 1.0), ("HC1", 2.0), ("HC2", 3.0)])
 def test_head_and_thighs_hang_on_the_torsos_ends(name: str, length: float):
     back, front = ends(name, "torso")
-    np.testing.assert_allclose(front - back, [length, 0, 0])
+    np.testing.assert_allclose(front - back, [length, 0, 0], atol=1e-12)
     neck = min(ends(name, "head"), key=lambda end: end[0])
     original = min(ends("HC0", "head"), key=lambda end: end[0])
     np.testing.assert_allclose(neck - front, original - [0.5, 0, 0], atol=1e-9)
@@ -152,6 +159,38 @@ def test_weighted_parts_stand_for_all_links(name: str, rng: np.random.Generator)
     np.testing.assert_allclose(mean[:2], expected[:2], rtol=0, atol=5e-8)
 
 
+@pytest.mark.parametrize("name", ["HC1", "Ant6"])
+def test_mujoco_places_every_link_where_pybullet_has_it(name: str, rng: np.random.Generator):
+    """So pictures show what is simulated."""
+    body, model = bodies.get(name), compiled(name)
+    simulator = Simulator(body)
+    simulator.reset([0.0] * body.action_size)
+    for _ in range(60):
+        simulator.advance(rng.uniform(-1, 1, body.action_size).tolist())
+    client = {"physicsClientId": simulator.client}
+    n_links = pybullet.getNumJoints(simulator.robot, **client)
+    fresh = {"computeForwardKinematics": True}  # PyBullet's own places trail by a substep
+    pybullet.getLinkStates(simulator.robot, list(range(n_links)), **fresh, **client)
+    data, at_rest = mujoco.MjData(model), mujoco.MjData(model)
+    data.qpos[:] = simulator.qpos()
+    far_m = []
+    for each in (data, at_rest):
+        mujoco.mj_kinematics(model, each)
+        for link in (model.body(index).name for index in range(1, model.nbody)):
+            position, (x, y, z, w) = simulator.place(link)
+            far_m.append(np.linalg.norm(each.body(link).xpos - position))
+            if each is data:
+                assert abs(each.body(link).xquat @ (w, x, y, z)) == pytest.approx(1, abs=1e-6)
+    n = model.nbody - 1
+    assert max(far_m[:n]) < 1e-4 and min(far_m[n:]) > 0.05
+
+
+def test_a_model_that_mujoco_cannot_read_is_one_line():
+    body = dataclasses.replace(bodies.get("HC0"), build=lambda: "<mujoco><worldbdy/></mujoco>")
+    with pytest.raises(SilemError, match="MuJoCo cannot load body 'HC0'"):
+        bodies.describe(body)
+
+
 def test_unknown_and_repeated_names_are_refused():
     with pytest.raises(SilemError, match="unknown body 'HC9'; allowed: HC0, HC1, HC2, Ant0"):
         bodies.get("HC9")
@@ -225,7 +264,7 @@ def test_a_full_temporary_folder_is_one_line(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(os, "fdopen", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(SilemError, match="no temporary file for HC0: No space left on device"):
         Simulator(bodies.get("HC0"))
     assert not list(tmp_path.iterdir())

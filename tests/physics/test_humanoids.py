@@ -139,7 +139,7 @@ def test_features_beside_the_observation_are_g_of_the_state():
     for index in range(3):
         expected = g(simulation.model, simulation.data(index), landmarks)
         np.testing.assert_allclose(infos[index]["skeletal_features"], expected, atol=1e-6)
-    assert env.skeletal_features.shape == (3, len(FEATURES))
+        assert infos[index]["skeletal_features"].shape == (len(FEATURES),)
 
 
 def test_a_seed_fixes_everything_whatever_happened_before():
@@ -192,7 +192,9 @@ def test_the_single_environment_is_the_batch_of_one():
     single, batch = MujocoEnv("Humanoid", starts=starts), make_vec("Humanoid", 1, starts=starts)
     first, info = single.reset(seed=0)
     np.testing.assert_array_equal(first, batch.reset()[0])
-    np.testing.assert_array_equal(info["skeletal_features"], batch.skeletal_features[0])
+    np.testing.assert_array_equal(
+        info["skeletal_features"], batch.reset_infos[0]["skeletal_features"]
+    )
     for action in actions(100, scale=3.0):  # beyond the range: both clip
         a, b = single.step(action[0]), batch.step(action)
         assert a[1] == pytest.approx(b[1][0])

@@ -104,6 +104,17 @@ def test_states_that_are_not_finite_are_refused(broken: str, array: str, value: 
         states(bodies.get("Humanoid"))
 
 
+def test_states_that_are_not_those_in_the_manifest_are_refused(broken: str) -> None:
+    arrays = {"qpos": np.zeros((3, 28)), "qvel": np.zeros((3, 27))}
+    publish(broken, **arrays)
+    changed = Demonstrations((np.ones((3, 23), np.float32),), body="Humanoid", extra=arrays)
+    changed.save(demonstrations.file_of(broken))
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json .* describes"):
+        states(bodies.get("Humanoid"))
+    with pytest.raises(SilemError, match=r"not the file that manifest\.json .* describes"):
+        published_retargeting("Humanoid")
+
+
 def test_demonstrations_without_states_give_no_starts() -> None:
     with pytest.raises(SilemError, match="'HC0' hold no states: they lack qpos, qvel"):
         demonstration_states("HC0", learner("Humanoid"))
@@ -211,6 +222,11 @@ def test_a_run_is_trained_and_evaluated_on_the_same_task(
     assert asked == [0.8, 0.8]
 
 
-def test_a_policys_episodes_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
+def test_a_policys_episodes_and_ones_own_file_leave_the_task_as_it_is(own_walk: np.ndarray) -> None:
     publish("Humanoid", {"speed_m_s": 1.0})
-    assert task_options(RunConfig.create("Humanoid", "silem", "Humanoid")) == {}
+    Demonstrations((np.zeros((3, 23), np.float32),)).save(demonstrations.file_of("mine"))
+    for name in ("Humanoid", "mine"):
+        assert task_options(RunConfig.create("Humanoid", "silem", name)) == {}
+    publish(retargeted("gone", "Humanoid"), {"retargeted_from": "gone"})
+    with pytest.raises(SilemError, match="unknown demonstrations 'gone'"):
+        task_options(RunConfig.create("Humanoid", "peng20", retargeted("gone", "Humanoid")))

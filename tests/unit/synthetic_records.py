@@ -10,9 +10,8 @@ import pytest
 
 from silem import bodies
 from silem.motion.features import FEATURES
-from silem.study import curve
 from silem.study.config import RunConfig
-from silem.study.record import RunRecord
+from silem.study.record import RunRecord, curve_csv, curve_row
 from silem.study.studies import study_configs
 from silem.util import files, paths
 
@@ -182,8 +181,8 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
                 stats |= {"speed_m_s": returns[i] / 530, "episode_length": 20 + 980 * share[i]}
         if config.demonstrations:
             stats |= {"disc_reward": 450 * share[i] + 12 * rng.normal(), "disc_loss": 1.2}
-        rows.append(curve.row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
-    return curve.to_csv(np.array(rows))
+        rows.append(curve_row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
+    return curve_csv(np.array(rows))
 
 
 def study(case: str) -> pytest.MarkDecorator:

@@ -10,8 +10,7 @@ from silem import bodies
 from silem.motion.demonstrations import Demonstrations, file_of
 from silem.study import verify
 from silem.study.config import RunConfig
-from silem.study.evaluate import evaluate
-from silem.study.policies import load_policy
+from silem.study.evaluate import evaluate, load_policy
 from silem.study.runs import run
 from silem.util.errors import SilemError
 

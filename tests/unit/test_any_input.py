@@ -20,10 +20,10 @@ from hypothesis.extra import numpy as hnp
 
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.study import curve, runs, verify
+from silem.study import runs, verify
 from silem.study.checkpoint import Checkpoint
 from silem.study.config import RunConfig
-from silem.study.record import RECORD, RunRecord
+from silem.study.record import CURVE_COLUMNS, RECORD, RunRecord, curve_csv, curve_row
 from silem.util import files
 from silem.util.errors import SilemError
 
@@ -88,10 +88,10 @@ def with_changes(draw: st.DrawFn, whole: dict[str, Any]) -> dict[str, Any]:
 def whole_files(folder: Path) -> dict[str, bytes]:
     """One sound file of each kind."""
     files.write_json(folder / "json", CONFIG.to_dict())
-    files.write_text(folder / "csv", curve.to_csv(np.ones((3, len(curve.COLUMNS)))))
+    files.write_text(folder / "csv", curve_csv(np.ones((3, len(CURVE_COLUMNS)))))
     Demonstrations((np.zeros((3, 2), np.float32),), (1.0,), "HC0").save(folder / "npz")
     steps = CONFIG.budget.steps_per_iteration
-    rows = np.array([curve.row(i, i * steps, {}) for i in (1, 2)])
+    rows = np.array([curve_row(i, i * steps, {}) for i in (1, 2)])
     Checkpoint(CONFIG.run_id, 2, 1.0, 0.5, (), "", rows, {"w": np.ones(3)}).save(folder / "tensors")
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 

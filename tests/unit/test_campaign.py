@@ -108,6 +108,30 @@ def test_a_killed_worker_goes_on_and_a_second_campaign_has_nothing_to_do(
     assert len(started) == 2
 
 
+def test_a_worker_fails_that_is_killed_again_and_again_without_getting_on(
+    monkeypatch: pytest.MonkeyPatch, data: Path
+) -> None:
+    """What is killed by a signal starts anew; only a checkpoint that advances starts the count."""
+    config, started = RunConfig.create("HC0", "ppo"), []
+    checkpoint = runs.run_folder(config) / "checkpoint.safetensors"
+
+    class Killed:
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            started.append(self)
+
+        def poll(self) -> int:
+            if len(started) <= 20:
+                checkpoint.write_bytes(b"")
+                os.utime(checkpoint, ns=(len(started), len(started)))
+            return -signal.SIGKILL
+
+    monkeypatch.setattr(campaign, "_POLL_S", 0)
+    monkeypatch.setattr(campaign.subprocess, "Popen", Killed)
+    with pytest.raises(SilemError, match=f"killed {campaign.MAX_KILLS} times without getting on"):
+        campaign.campaign([config], n_workers=1, progress=False)
+    assert len(started) == 20 + campaign.MAX_KILLS
+
+
 def test_a_failure_is_reported_after_all_others_were_made(data: Path) -> None:
     publish(b"no npz")
     bad, good = study_configs("halfcheetah", TINY, 1, body=["HC0"], method=["silem", "random"])
@@ -116,7 +140,8 @@ def test_a_failure_is_reported_after_all_others_were_made(data: Path) -> None:
     assert runs.state(good) == "finished"
 
 
-def test_ctrl_c_stops_every_worker(data: Path) -> None:
+def started_campaign(data: Path) -> subprocess.Popen[str]:
+    """Start a campaign and wait until two of its workers are in training."""
     words = "campaign --method ppo --budget tiny --iterations 5000 --workers 2 --quiet"
     process = subprocess.Popen(
         [sys.executable, "-m", "silem", *words.split()],
@@ -124,6 +149,11 @@ def test_ctrl_c_stops_every_worker(data: Path) -> None:
     )  # fmt: skip
     while process.poll() is None and len(list(data.rglob("checkpoint.safetensors"))) < 2:
         time.sleep(0.05)
+    return process
+
+
+def test_ctrl_c_stops_every_worker(data: Path) -> None:
+    process = started_campaign(data)
     process.send_signal(signal.SIGINT)
     try:
         _, errors = process.communicate(timeout=60)
@@ -134,3 +164,23 @@ def test_ctrl_c_stops_every_worker(data: Path) -> None:
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     assert not any(files.is_locked(path) for path in data.rglob(runs.LOCK))
+
+
+def test_the_workers_of_a_killed_campaign_end_with_it(data: Path) -> None:
+    process = started_campaign(data)
+    locks = list(data.rglob(runs.LOCK))
+    workers = [int(path.read_text().partition("@")[0]) for path in locks]
+    assert len(workers) == 2
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 60
+    try:
+        while any(files.is_locked(path) for path in locks) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert not any(files.is_locked(path) for path in locks)
+    finally:
+        for path, pid in zip(locks, workers, strict=True):
+            if files.is_locked(path):
+                os.kill(pid, signal.SIGKILL)
+    for path in locks:  # they were stopped, not cut off
+        assert "its checkpoint is kept" in (path.parent / "log.txt").read_text()

@@ -15,7 +15,7 @@ import silem
 from silem import bodies, cli
 from silem.cli import main, parser
 from silem.report import film
-from silem.study import demonstrate, runs
+from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
@@ -36,7 +36,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set gamma", "NAME=VALUE"),
         ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
         ("run --body HC0 --method ppo --set gama=0.9", "unknown setting of ppo on HC0 'gama'"),
-        ("run --body HC0 --method silem --quiet", "python -m silem demonstrations --body HC0"),
+        ("run --body HC0 --method silem --quiet", "silem demonstrations --body HC0"),
         ("run --config nowhere.json", "cannot read nowhere.json"),
         ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
         ("campaign --workers 0 --method random", "--workers: '0' is no whole number from 1"),
@@ -73,7 +73,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bodies --import no_such_module", "cannot import no_such_module: ModuleNotFoundError"),
         (
             "demonstrations --body HC0 --budget tiny",
-            "are not finished; next: python -m silem run --body HC0",
+            "are not finished; next: silem run --body HC0",
         ),
     ],
 )
@@ -111,24 +111,37 @@ def test_run_evaluate_and_status(capsys: pytest.CaptureFixture[str]) -> None:
     assert sum("missing" in line for line in table) == 15
 
 
+def test_an_environment_that_says_no_speed_is_run_and_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main("run --quiet --env Pendulum-v1 --method random --budget tiny".split()) == 0
+    assert "over 2 episodes\n" in capsys.readouterr().out
+
+
 def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bodies"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == bodies.names()
 
 
-def test_a_body_that_a_module_replaces_is_the_modules(
-    data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(data)
-    (data / "longer.py").write_text(OWN.replace("HC1p5", "HC1").replace("1.5)", "1.5), True"))
-    done = python(
-        "-c",
-        "from silem.bodies import own; own.load('longer'); print(own.module_of('HC1'),"
-        " own.module_of('HC2'))",
-        cwd=data,
-    )
-    assert done.stdout == "longer None\n", done.stderr
+def test_the_run_of_a_modules_body_is_no_run_of_anothers(data: Path) -> None:
+    """Neither the paper's body nor another module's content passes for it, by name or from disk."""
+    ids = {}
+    for torso in ("1.0", "1.5", "1.6"):
+        own = OWN.replace("HC1p5", "HC1").replace("1.5)", f"{torso}), True")
+        (data / "longer.py").write_text(own)
+        words = "--import longer --body HC1 --method random"
+        shown = python("-m", "silem", "show", *words.split(), cwd=data)
+        assert shown.returncode == 0, shown.stderr
+        ids[torso] = shown.stdout.splitlines()[0]
+    assert len({*ids.values(), RunConfig.create("HC1", "random").run_id}) == 4
+    command = ["-m", "silem", "run", "--quiet", *words.split()]
+    assert python(*command, cwd=data).returncode == 0
+    shown = python("-m", "silem", "show", ids["1.6"], cwd=data)
+    assert shown.returncode == 2
+    assert "HC1 is not the body that this run is of; --import longer loads that" in shown.stderr
+    record = files.read_json(next(data.glob("runs/*/*/record.json")))
+    assert record["config"]["own_body"]["module"] == "longer"
 
 
 @pytest.mark.parametrize(
@@ -192,8 +205,8 @@ print(record.run_id == config.run_id)
     command, made = done.stdout.splitlines()[-2:]
     assert "run --import my_bodies --body HC1p5" in command
     assert made == "True"
-    assert python(*shlex.split(command)[1:], cwd=data).returncode == 0
-    without = python(*shlex.split(command.replace("--import my_bodies ", ""))[1:], cwd=data)
+    assert python("-m", *shlex.split(command), cwd=data).returncode == 0
+    without = python("-m", *shlex.split(command.replace("--import my_bodies ", "")), cwd=data)
     assert "unknown body 'HC1p5'" in without.stderr
 
 
@@ -211,10 +224,12 @@ def test_bodies_of_installed_packages(data: Path) -> None:
 
 
 def test_recording_never_advises_to_replace_what_is_committed(tmp_path: Path) -> None:
-    committed = demonstrate._instead(paths.REPO / "data" / "demonstrations" / "HC0.npz")
-    assert "SILEM_DATA_DIR" in committed
-    assert "--force" not in committed
-    assert "--force replaces them" in demonstrate._instead(tmp_path / "HC0.npz")
+    committed = paths.REPO / "data"
+    for kept in ("demonstrations/HC0.npz", "results/halfcheetah/ppo_HC0"):
+        assert "SILEM_DATA_DIR" in runs.instead_of(committed / kept)
+        assert "--force" not in runs.instead_of(committed / kept)
+    for own in (tmp_path / "HC0.npz", committed / "runs" / "halfcheetah" / "ppo_HC0"):
+        assert runs.instead_of(own) == "replace it with --force"
 
 
 HEAVY = ("torch", "stable_baselines3", "pybullet", "scipy", "pandas", "matplotlib", "imageio")
@@ -287,7 +302,7 @@ def test_stopping_while_options_are_parsed_is_one_line(sent: str, data: Path) ->
 def test_stopping_keeps_the_checkpoint_and_exits_with_130(sent: signal.Signals) -> None:
     config = RunConfig.create("HC0", "ppo", budget=BUDGETS["tiny"].with_iterations(5000))
     process = subprocess.Popen(
-        [sys.executable, *config.command.split()[1:]],
+        [sys.executable, "-m", *config.command.split()],
         cwd=paths.REPO, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
     )  # fmt: skip
     checkpoint = runs.run_folder(config) / "checkpoint.safetensors"

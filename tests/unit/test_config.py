@@ -130,14 +130,14 @@ def test_an_experts_identity_does_not_depend_on_how_discriminators_are_trained()
 
 @pytest.mark.parametrize("method", METHODS)
 def test_configurations_survive_json_and_the_command_line(method: str) -> None:
-    used = HyperParameters.names_used_by(method)
+    used = HyperParameters.used_by(method)
     changed = {"learning_rate": 1e-5, "policy_hidden": [32], "gradient_penalty": 0}
     overrides = {name: value for name, value in changed.items() if name in used}
     budget = BUDGETS["tiny"].with_iterations(9)
     body = body_for(method)
     config = create(body, method, None, budget, 7, study="tuning", **overrides)
     assert RunConfig.from_dict(config.to_dict()) == config
-    words = shlex.split(config.command.removeprefix("python -m silem"))
+    words = shlex.split(config.command.removeprefix("silem"))
     assert config_of(parser().parse_args(words)) == config
 
 

@@ -306,7 +306,9 @@ def test_only_subject_8s_floor_is_levelled(man: Files, elsewhere: Path) -> None:
     assert np.ptp(heights) == pytest.approx(demonstrator.FLOOR_SLOPE * 1.5 * 0.5, rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["HC0", "Atlas", "cmu_08_01", "a_on_Atlas", "../up", "", "a" * 65])
+@pytest.mark.parametrize(
+    "name", ["HC0", "Atlas", "cmu_08_01", "HC0.npz", "a_on_Atlas", "../up", "", "a" * 65]
+)
 def test_a_name_that_is_taken_or_no_name_is_refused(name: str, man: Files, elsewhere: Path) -> None:
     with pytest.raises(SilemError):
         demonstrator.publish_own(name, man.asf, man.clip(walk), 120.0)

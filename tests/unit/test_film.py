@@ -264,8 +264,8 @@ def test_without_offscreen_rendering_the_page_says_so(monkeypatch: pytest.Monkey
 
     shown: list[str] = []
     monkeypatch.setattr(notebook, "_display_html", shown.append)
-    monkeypatch.setattr(film, "MujocoCamera", refuse)
-    assert film.why_no_pictures("HC0") == ""  # drawn without OpenGL
+    monkeypatch.setattr(film, "Camera", refuse)
+    assert film.why_no_pictures("HC0") == "no offscreen rendering"
     notebook.film(lambda: pytest.fail("filmed"), "Atlas & friends")
     assert shown == ["<p><em>No video (Atlas &amp; friends): no offscreen rendering</em></p>"]
 

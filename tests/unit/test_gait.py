@@ -9,7 +9,7 @@ from silem.envs import make_vec
 from silem.envs.bullet import task
 from silem.motion.demonstrations import Demonstrations
 from silem.report.features import feature_names
-from silem.study import gait
+from silem.study import demonstrate
 from silem.util.errors import SilemError
 
 NAMES = feature_names("HC0")
@@ -23,8 +23,8 @@ def states(n: int = 10, **values: float | list[float]) -> np.ndarray:
     return features
 
 
-def measured(*features: np.ndarray, returns: tuple[float, ...] = ()) -> gait.Gait:
-    return gait.measure(Demonstrations(features, returns, "HC0"))
+def measured(*features: np.ndarray, returns: tuple[float, ...] = ()) -> demonstrate.Gait:
+    return demonstrate.gait(Demonstrations(features, returns, "HC0"))
 
 
 def test_speed_is_the_forward_velocity_in_metres_per_second() -> None:
@@ -43,7 +43,7 @@ def test_pitch_is_taken_over_all_states_and_roll_is_not_it() -> None:
 def test_joints_are_at_their_limits_beyond_99_hundredths_on_either_side() -> None:
     angle = [0.995, -0.995, 0.985, -0.985, 0, 0, 0, 0, 0, 0]
     shown = states(back_thigh_angle=angle, front_foot_angle=[1, 0, 0, 0, 0, 0, 0, 0, 0, -1])
-    counts = gait.joints_at_limit(shown, "HC0")
+    counts = demonstrate.joints_at_limit(shown, "HC0")
     assert counts.tolist() == [2, 1, 0, 0, 0, 0, 0, 0, 0, 1]
     assert measured(shown).limit_share == pytest.approx(0.3)
     assert measured(shown).joints_at_limit == pytest.approx(0.4)
@@ -52,7 +52,7 @@ def test_joints_are_at_their_limits_beyond_99_hundredths_on_either_side() -> Non
 
 
 def test_the_limit_is_the_one_that_the_task_charges() -> None:
-    assert task._AT_LIMIT == gait.AT_LIMIT
+    assert task._AT_LIMIT == demonstrate.AT_LIMIT
     env = make_vec("HC0", n_envs=1, seed=0)
     env.reset()
     joints = env.body.motors
@@ -61,14 +61,19 @@ def test_the_limit_is_the_one_that_the_task_charges() -> None:
     env.close()
     by_name = [features[0, NAMES.index(name)] for name in NAMES if name.endswith("angle")]
     expected = sum(abs(angle) > 0.99 for angle in by_name)
-    assert gait.joints_at_limit(features, "HC0").tolist() == [expected]
+    assert demonstrate.joints_at_limit(features, "HC0").tolist() == [expected]
     assert expected > 0
 
 
 def test_an_episode_failed_if_it_returns_less_than_half_of_the_median() -> None:
-    assert gait.failed(np.array([2000.0, 2100, 999, 2000])).tolist() == [False, False, True, False]
-    assert not gait.failed(np.array([-100.0, -140, -120])).any()
-    assert gait.failed(np.array([-100.0, -100, -151])).tolist() == [False, False, True]
+    assert demonstrate.failed(np.array([2000.0, 2100, 999, 2000])).tolist() == [
+        False,
+        False,
+        True,
+        False,
+    ]
+    assert not demonstrate.failed(np.array([-100.0, -140, -120])).any()
+    assert demonstrate.failed(np.array([-100.0, -100, -151])).tolist() == [False, False, True]
     shown = measured(*[states()] * 3, returns=(2000.0, 600.0, 2100.0))
     assert (shown.return_worst, shown.n_failed) == (600.0, 1)
     assert measured(states())[-2:] == (None, None)
@@ -76,6 +81,6 @@ def test_an_episode_failed_if_it_returns_less_than_half_of_the_median() -> None:
 
 def test_what_has_no_gait_is_refused() -> None:
     with pytest.raises(SilemError, match="not on Humanoid"):
-        gait.joints_at_limit(np.zeros((3, 23)), "Humanoid")
+        demonstrate.joints_at_limit(np.zeros((3, 23)), "Humanoid")
     with pytest.raises(SilemError, match="7 features, HC0 has 26"):
-        gait.joints_at_limit(np.zeros((3, 7)), "HC0")
+        demonstrate.joints_at_limit(np.zeros((3, 7)), "HC0")

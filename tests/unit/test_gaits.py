@@ -10,18 +10,20 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, texts
 
+from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.report import results
 from silem.report.features import feature_names
 from silem.report.pages import gaits
-from silem.study import gait, runs
+from silem.study import demonstrate as recording
+from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, describe, experts
 from silem.study.record import POLICY, RunRecord
 from silem.study.studies import study_configs
-from silem.study.training import make_policy_model
+from silem.study.training import settings
 from silem.util import files
 
 PITCHES = {"HC0_s0": 0.4, "HC0_s1": 0.0, "HC0_s2": 0.3, "HC0_s3": 0.2, "HC0_s4": 0.1}
@@ -40,7 +42,7 @@ def with_policy(record: RunRecord) -> RunRecord:
     """Give a made-up record an untrained policy."""
     config = record.run_config()
     env = make_vec(config.body, n_envs=1)
-    model = make_policy_model(config, env)
+    model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
     env.close()
     path = record.folder / POLICY
     files.write_tensors(path, model.policy_arrays(), {"run_id": record.run_id})
@@ -122,7 +124,7 @@ def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
     record = runs.find(experts("HC0", "book")[0].run_id)
     assert record is not None
     demonstrate(record, 1, name="HC0_s0", force=True)
-    measured = gait.measure(Demonstrations.load("HC0_s0"))
+    measured = recording.gait(Demonstrations.load("HC0_s0"))
     entry = demos.entry("HC0_s0")
     assert {key: entry[key] for key in measured._fields} == measured._asdict()
     said = describe("HC0_s0")
@@ -131,7 +133,7 @@ def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
 
 
 def test_strides_are_cut_at_the_peaks_and_resampled() -> None:
-    cut = gaits.strides(gait.pitch_rad(galloping(0.2)))
+    cut = gaits.strides(recording.pitch_rad(galloping(0.2)))
     assert len(cut) == 13  # 14 peaks inside 300 states, the first is at the edge
     expected = 0.2 + 0.1 * np.cos(2 * np.pi * np.linspace(0, 1, 50))
     assert np.abs(cut - expected).max() < 0.01

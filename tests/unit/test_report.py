@@ -319,7 +319,7 @@ def test_trace_names_every_commit_and_says_where_code_was_changed(
 @synthetic.study("empty")
 def test_trace_of_no_runs_lists_what_to_make(frame: pd.DataFrame) -> None:
     page = provenance.trace(frame).data
-    assert "0 runs" in page and "python -m silem run --body HC0 --method ppo" in page
+    assert "0 runs" in page and "silem run --body HC0 --method ppo" in page
 
 
 def test_tables_do_not_style_each_other_and_never_change_by_themselves() -> None:

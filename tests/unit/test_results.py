@@ -42,7 +42,7 @@ def test_every_planned_run_is_either_a_row_or_missing(frame: pd.DataFrame) -> No
     assert set(missing["method"]) == {"silem", "silem-minus"}
     assert set(missing["body"]) == {"HC2"}
     command = missing.query("method == 'silem' and seed == 3")["command"].item()
-    assert command.startswith("python -m silem run --body HC2 --method silem")
+    assert command.startswith("silem run --body HC2 --method silem")
     assert command.endswith("--budget book --seed 3")
     assert not set(missing["run_id"]) & set(frame["run_id"])
 

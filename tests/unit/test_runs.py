@@ -18,13 +18,22 @@ import pytest
 from silem import bodies
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
-from silem.study import curve, runs, settings, training
+from silem.study import runs, settings, training
 from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
-from silem.study.evaluate import evaluate, random_policy
-from silem.study.policies import load_policy
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord
+from silem.study.evaluate import RandomPolicy, evaluate, load_policy
+from silem.study.record import (
+    CURVE,
+    CURVE_COLUMNS,
+    POLICY,
+    RECORD,
+    TRANSFORM,
+    RunRecord,
+    curve_csv,
+    curve_row,
+    thinned,
+)
 from silem.study.settings import Budget
 from silem.util import files, paths, seeding
 from silem.util.errors import SilemError
@@ -128,7 +137,7 @@ def test_what_a_run_leaves(finished: dict[str, RunRecord]) -> None:
     assert transform["A"].shape == transform["b"].shape == (bodies.get("HC0").observation_size,)
     assert not np.all(transform["A"] == 1)
     rows = (silem.folder / CURVE).read_text().splitlines()
-    assert rows[0].split(",") == list(curve.COLUMNS[:10])  # no episode has ended
+    assert rows[0].split(",") == list(CURVE_COLUMNS[:10])  # no episode has ended
     assert [int(row.split(",")[1]) for row in rows[1:]] == [128 * i for i in range(1, 7)]
 
 
@@ -211,7 +220,7 @@ def interrupted(config: RunConfig, monkeypatch: pytest.MonkeyPatch) -> Path:
 def checkpoint(config: RunConfig, iteration: int) -> Checkpoint:
     """A checkpoint of a run that has learned nothing."""
     rows = [
-        curve.row(i, i * config.budget.steps_per_iteration, {}) for i in range(1, iteration + 1)
+        curve_row(i, i * config.budget.steps_per_iteration, {}) for i in range(1, iteration + 1)
     ]
     weights = {"policy/w": np.ones(3, dtype=np.float32)}
     return Checkpoint(config.run_id, iteration, 1.0, 0.5, ("abc",), "", np.array(rows), weights)
@@ -298,6 +307,14 @@ def test_other_demonstrations_are_noticed(data: Path, monkeypatch: pytest.Monkey
     write_demonstrations(seed=1)
     with pytest.raises(SilemError, match="made with other demonstrations"):
         runs.run(config, progress=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(paths, "checkout", lambda: data.parent)
+        with pytest.raises(SilemError, match="replace it with --force"):
+            runs.run(config, progress=False)  # nothing that is committed
+        shutil.copytree(record.folder, data / "results" / "halfcheetah" / config.run_id)
+        with pytest.raises(SilemError, match="or set SILEM_DATA_DIR to another folder"):
+            runs.run(config, progress=False)
+        shutil.rmtree(data / "results")
     again = runs.run(config, progress=False, force=True)
     assert again.demonstrations_sha256 == files.sha256(demonstrations.file_of("HC0"))
     assert again.demonstrations_sha256 != record.demonstrations_sha256
@@ -320,7 +337,7 @@ def test_unusable_demonstrations_stop_a_run_before_it_starts(data: Path) -> None
     with pytest.raises(SilemError, match="demonstrations of 'HC1', another body"):
         runs.run(small("silem"), progress=False)
     path.unlink()
-    with pytest.raises(SilemError, match=r"no demonstrations of HC0.*python -m silem"):
+    with pytest.raises(SilemError, match=r"no demonstrations of HC0.*silem run"):
         runs.run(small("silem"), progress=False)
     assert runs.state(small("silem")) == "missing"
 
@@ -351,7 +368,7 @@ def test_a_saved_policy_repeats_its_evaluation(finished: dict[str, RunRecord]) -
 
 
 def test_trials_of_the_random_policy_differ() -> None:
-    returns = [evaluate(random_policy("HC0", seed), "HC0", 1).returns for seed in (0, 1, 0)]
+    returns = [evaluate(RandomPolicy("HC0", seed), "HC0", 1).returns for seed in (0, 1, 0)]
     assert returns[0] == returns[2] != returns[1]
 
 
@@ -389,14 +406,14 @@ def test_a_diverged_training_does_not_replace_its_checkpoint(tmp_path: Path) -> 
 
 def test_a_published_curve_averages_neighbouring_iterations() -> None:
     stats = [{"return_mean": float(i)} if i % 4 == 0 else {} for i in range(1, 402)]
-    rows = np.array([curve.row(i + 1, 10 * (i + 1), s) for i, s in enumerate(stats)])
-    thin = curve.thinned(rows)
+    rows = np.array([curve_row(i + 1, 10 * (i + 1), s) for i, s in enumerate(stats)])
+    thin = thinned(rows)
     assert len(thin) == 134  # blocks of three
     np.testing.assert_array_equal(thin[:3, 0], [3, 6, 9])
-    returns = thin[:, curve.COLUMNS.index("return_mean")]
+    returns = thin[:, CURVE_COLUMNS.index("return_mean")]
     np.testing.assert_array_equal(returns[:4], [np.nan, 4, 8, 12])
-    assert curve.to_csv(rows[:1]).splitlines()[1] == "1,10,,,,,,,,"
-    assert curve.to_csv(np.full((1, 12), 123456.789)).splitlines()[1].endswith(",1.2346e+05")
+    assert curve_csv(rows[:1]).splitlines()[1] == "1,10,,,,,,,,"
+    assert curve_csv(np.full((1, 12), 123456.789)).splitlines()[1].endswith(",1.2346e+05")
 
 
 def test_a_record_that_is_none_is_refused(tmp_path: Path, finished: dict[str, RunRecord]) -> None:

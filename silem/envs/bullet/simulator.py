@@ -12,8 +12,7 @@ import numpy as np
 import pybullet
 import pybullet_data
 
-from silem import bodies
-from silem.bodies import Body, BulletBody, measure
+from silem.bodies import BulletBody, measure
 from silem.util.errors import SilemError
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
@@ -29,11 +28,6 @@ _FIELDS = {"center": 0, "origin": 4}  # of what PyBullet tells of a link
 _Numbers: TypeAlias = tuple[float, ...]
 
 
-def body_of(body: Body | str) -> BulletBody:
-    """Return a body, given itself or its name; raises SilemError where PyBullet steps it not."""
-    return bodies.of_kind(body, BulletBody)
-
-
 def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float]:
     """Draw (J,) joint angles in rad for an episode's start."""
     angles = generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, body.action_size)
@@ -41,21 +35,13 @@ def start_angles(generator: np.random.Generator, body: BulletBody) -> list[float
 
 
 class State(NamedTuple):
-    """What a simulator holds after a step.
+    """What a simulator holds after a step."""
 
-    Attributes:
-        joints: Per motor its hinge's angle in rad and velocity in rad/s (and PyBullet's rest).
-        rpy: The root's roll, pitch and yaw in rad.
-        velocity: The root's velocity in the world in m/s.
-        parts: Position in the world in m of each of the body's parts, the root first.
-        contact: 1 for each foot that touches the floor, else 0.
-    """
-
-    joints: Sequence[_Numbers]
-    rpy: _Numbers
-    velocity: _Numbers
-    parts: Sequence[_Numbers]
-    contact: list[float]
+    joints: Sequence[_Numbers]  # per motor its hinge's angle in rad and velocity in rad/s, ...
+    rpy: _Numbers  # the root's roll, pitch and yaw in rad
+    velocity: _Numbers  # the root's, in the world in m/s
+    parts: Sequence[_Numbers]  # places in the world in m of the body's parts, the root first
+    contact: list[float]  # 1 for each foot that touches the floor, else 0
 
 
 class Simulator:
@@ -65,41 +51,35 @@ class Simulator:
     overlapping pairs are always deterministic: without that, equal clients drift apart.
 
     Attributes:
-        body: The body.
         client: PyBullet's number of the client.
         robot: PyBullet's number of the body within the client.
-        floor: PyBullet's number of the floor.
         joints: PyBullet's numbers of the actuated joints, in the order of the action.
         limits: Lower and upper limit of each of those joints in rad.
         read: `read()` returns the present state.
         advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
             for one control step.
+
+    Raises:
+        SilemError: If PyBullet has no client left or cannot load the body.
     """
 
     def __init__(self, body: BulletBody) -> None:
-        """Start a client and load the floor and the body.
-
-        Raises:
-            SilemError: If PyBullet has no client left or cannot load the body.
-        """
         self.body = body
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise SilemError("PyBullet has no client left; close environments that are not used")
         self._finalizer = weakref.finalize(self, _disconnect, self.client)
         self._load()
-        self._find()
         self.read = self._make_read()
         self.advance = self._make_advance()
         self._start_state = pybullet.saveState(physicsClientId=self.client)
 
     def reset(self, angles: Sequence[float]) -> State:
         """Put the body back to its start pose with the given (J,) joint angles, at rest."""
-        pybullet.restoreState(self._start_state, physicsClientId=self.client)
+        client = {"physicsClientId": self.client}
+        pybullet.restoreState(self._start_state, **client)
         for joint, angle in zip(self.joints, angles, strict=True):
-            pybullet.resetJointState(
-                self.robot, joint, targetValue=angle, targetVelocity=0, physicsClientId=self.client
-            )
+            pybullet.resetJointState(self.robot, joint, angle, targetVelocity=0, **client)
             self._free(joint)
         return self.read()
 
@@ -112,56 +92,48 @@ class Simulator:
         state = pybullet.getLinkState(self.robot, index, **client)
         return state[4], state[5]
 
+    def qpos(self) -> np.ndarray:
+        """Return the joint positions (nq,) as MuJoCo orders them, the root's place first."""
+        client, at = {"physicsClientId": self.client}, []
+        if not self.body.root_joints:
+            position, (*axis, w) = self.place(self.body.root)
+            at = [*position, w, *axis]
+        states = pybullet.getJointStates(self.robot, self._movable, **client)
+        return np.array(at + [state[0] for state in states])
+
     def close(self) -> None:
         """Disconnect the client; closing twice is allowed."""
         self._finalizer()
 
     def _load(self) -> None:
-        client = {"physicsClientId": self.client}
+        client, base = {"physicsClientId": self.client}, measure.BASE
         pybullet.resetSimulation(**client)
         pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, **client)
         pybullet.setGravity(0, 0, -_GRAVITY_M_S2, **client)
         pybullet.setDefaultContactERP(_CONTACT_ERP, **client)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self.body.control_step_s,
-            numSolverIterations=_SOLVER_ITERATIONS,
-            numSubSteps=SUBSTEPS,
-            **client,
-        )
+        step = {"fixedTimeStep": self.body.control_step_s, "numSubSteps": SUBSTEPS}
+        iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
+        pybullet.setPhysicsEngineParameter(**step, **iterations, **client)
         floor = str(Path(pybullet_data.getDataPath()) / "plane_stadium.sdf")
-        (self.floor,) = pybullet.loadSDF(floor, **client)
-        pybullet.changeDynamics(
-            self.floor,
-            measure.BASE,
-            lateralFriction=_FLOOR_FRICTION,
-            restitution=_FLOOR_RESTITUTION,
-            **client,
-        )
+        (self._floor,) = pybullet.loadSDF(floor, **client)
+        surface = {"lateralFriction": _FLOOR_FRICTION, "restitution": _FLOOR_RESTITUTION}
+        pybullet.changeDynamics(self._floor, base, **surface, **client)
         self.robot = measure.load(self.body, self.client)
-
-    def _find(self) -> None:
-        """Find the joints and links that the body names, and free every joint's motor."""
         infos = measure.joint_infos(self.robot, self.client)
-        joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
+        index = {info[1].decode(): number for number, info in enumerate(infos)}
         self._links = measure.link_names(self.robot, self.client)
-        self.joints = [joint_index[motor.joint] for motor in self.body.motors]
+        self.joints = [index[motor.joint] for motor in self.body.motors]
+        self._movable = [*(index[name] for name in self.body.root_joints), *self.joints]
         self.limits = [infos[joint][8:10] for joint in self.joints]
         for joint in range(len(infos)):
             self._free(joint)
 
     def _free(self, joint: int) -> None:
         """Take the force out of the motor that PyBullet puts on every joint."""
-        pybullet.setJointMotorControl2(
-            self.robot,
-            joint,
-            controlMode=pybullet.POSITION_CONTROL,
-            targetPosition=0,
-            targetVelocity=0,
-            positionGain=0.1,
-            velocityGain=0.1,
-            force=0,
-            physicsClientId=self.client,
-        )
+        zero = {"targetPosition": 0, "targetVelocity": 0, "force": 0}
+        gains = {"positionGain": 0.1, "velocityGain": 0.1, "physicsClientId": self.client}
+        mode = pybullet.POSITION_CONTROL
+        pybullet.setJointMotorControl2(self.robot, joint, controlMode=mode, **zero, **gains)
 
     def _make_advance(self) -> Callable[[Sequence[float]], None]:
         client, robot, joints = self.client, self.robot, self.joints
@@ -180,11 +152,8 @@ class Simulator:
         return advance
 
     def _make_read(self) -> Callable[[], State]:
-        """Return the function that reads the state.
-
-        It runs after every step: local names and positional arguments keep its overhead low.
-        """
-        client, robot, floor, joints = self.client, self.robot, self.floor, self.joints
+        """Return what runs after every step: local names and arguments by place keep it fast."""
+        client, robot, floor, joints = self.client, self.robot, self._floor, self.joints
         joint_states, contact_points = pybullet.getJointStates, pybullet.getContactPoints
         euler = pybullet.getEulerFromQuaternion
         read_links = self._make_read_links()

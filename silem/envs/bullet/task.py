@@ -37,6 +37,9 @@ def observation_space(body: BulletBody) -> gymnasium.spaces.Box:
 class LocomotionTask:
     """Observation and reward of one body, and the tally of its running episode.
 
+    It is made of a body, the limits in rad of its motors' joints, and the steps after which an
+    episode ends without having terminated.
+
     The observation (O,) is: the root's height above its start; sine and cosine of the angle to
     the target; 0.3 times the root's velocity in m/s in its own heading (forward, left, up); roll
     and pitch in rad; then per motor the angle, scaled to -1..1 between its limits, and 0.1 times
@@ -45,7 +48,6 @@ class LocomotionTask:
     hands an observation out clips it, see `as_observations`.
 
     Attributes:
-        length: Steps since the episode began.
         terminated: Whether the last step ended the episode, by the alive rule or because it left
             numbers that are not finite; the observation is then zero and the reward -1.
     """
@@ -53,13 +55,6 @@ class LocomotionTask:
     def __init__(
         self, body: BulletBody, limits: Sequence[tuple[float, float]], max_steps: float = math.inf
     ) -> None:
-        """Prepare the task.
-
-        Args:
-            body: The body.
-            limits: Lower and upper limit in rad of each motor's joint.
-            max_steps: Steps after which an episode ends without having terminated.
-        """
         self._max_steps, self._step_s = max_steps, body.control_step_s
         self._terminates = body.alive.terminates
         self._min_height_m, self._max_pitch_rad = body.alive.min_height_m, body.alive.max_pitch_rad
@@ -81,11 +76,7 @@ class LocomotionTask:
         return observation
 
     def step(self, action: Sequence[float], state: State) -> tuple[list[float], float, bool]:
-        """Score one step.
-
-        Args:
-            action: (J,) as the policy gave it, not clipped.
-            state: What the simulator holds after the step.
+        """Score the step by an action (J,), as the policy gave it, to a state.
 
         Returns:
             Observation (O,), not yet clipped, reward, and whether the episode ends here.

@@ -33,8 +33,7 @@ class Simulation:
     and velocities up to date, and the next control step begins with the rest of it.
 
     Attributes:
-        body: The body.
-        model: Its compiled model.
+        model: The body's compiled model.
         qpos: Positions of all joints, (E, nq); writing to them moves the bodies.
         qvel: Their velocities, (E, nv).
     """
@@ -109,10 +108,7 @@ def start_state(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw the joint positions (nq,) and velocities (nv,) that an episode starts from.
 
-    Args:
-        generator: Where the random numbers come from.
-        body: The body.
-        starts: States to choose from; None means the standing pose with small noise.
+    They are one of `starts`, or without any the standing pose with small noise.
     """
     if starts is not None:
         chosen = generator.integers(len(starts[0]))

@@ -70,11 +70,7 @@ def observation_space(body: MujocoBody) -> gymnasium.spaces.Box:
 
 
 def target_speed(body: MujocoBody, speed_m_s: float | None) -> float:
-    """Return the speed that earns the full reward: the one wanted, or for None the body's.
-
-    Raises:
-        SilemError: If it is not above 0.
-    """
+    """Return the speed wanted, for None the body's; raises SilemError if it is not above 0."""
     speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
     if not speed_m_s > 0:
         raise SilemError(f"speed of {speed_m_s} m/s; allowed: above 0")
@@ -86,11 +82,7 @@ def observe(reading: Reading, features: np.ndarray) -> np.ndarray:
 
     In order: hinges in rad; height of the head in m; left hand, left foot, right hand, right foot
     relative to the torso, in its frame, in m; the vertical in the torso's frame; velocity of the
-    centre of mass in the world in m/s; velocity of all joints.
-
-    Args:
-        reading: States.
-        features: Their skeletal features, (E, F).
+    centre of mass in the world in m/s; velocity of all joints. `features` are g(s), (E, F).
     """
     parts = (reading.qpos[:, 7:], features.take(_OBSERVED, 1), reading.com_velocity, reading.qvel)
     return np.concatenate(parts, axis=1, dtype=np.float32)

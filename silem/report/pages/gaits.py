@@ -17,10 +17,9 @@ from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import film, results, style, tables
 from silem.report.figures import sources
-from silem.study import gait, runs
+from silem.study import demonstrate, runs
 from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
-from silem.study.evaluate import record_episodes
-from silem.study.policies import load_policy
+from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.util.errors import SilemError
 
@@ -36,7 +35,7 @@ class ExpertGait(NamedTuple):
 
     record: RunRecord
     demonstrations: Demonstrations
-    gait: gait.Gait
+    gait: demonstrate.Gait
 
 
 Shown = dict[str, ExpertGait | None]
@@ -55,7 +54,7 @@ def load(body: str, budget: str, n_trajectories: int) -> Shown:
         shown[name] = None
         if record is not None:
             episodes = _episodes(record, n_trajectories)
-            shown[name] = ExpertGait(record, episodes, gait.measure(episodes))
+            shown[name] = ExpertGait(record, episodes, demonstrate.gait(episodes))
     return shown
 
 
@@ -95,7 +94,7 @@ def table(shown: Shown, demonstrator_name: str) -> Styler:
             row |= {
                 "return": f"{number(returns.mean())} ± {number(returns.std())}",
                 "worst episode": number(returns.min()),
-                "failed": f"{gait.failed(returns).sum()} of {len(returns)}",
+                "failed": f"{demonstrate.failed(returns).sum()} of {len(returns)}",
                 "failed, recorded": f"{g.n_failed} of {n}",
                 "speed (m/s)": number(evaluation["speed_m_s"], 2),
                 "pitch (rad)": f"{number(g.pitch_rad, 2)} ± {number(g.pitch_std_rad, 2)}",
@@ -157,7 +156,9 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
                 axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
                 continue
             episodes = found.demonstrations.features
-            cut = np.concatenate([strides(gait.pitch_rad(features)) for features in episodes])
+            cut = np.concatenate(
+                [strides(demonstrate.pitch_rad(features)) for features in episodes]
+            )
             if len(cut):
                 low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
                 axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)

@@ -26,7 +26,7 @@ from silem.motion.retargeting import Limbs
 from silem.report import film, stick_figure, style
 from silem.report.stick_figure import MARGIN_M
 from silem.report.tables import DASH, number, styled
-from silem.study.evaluate import evaluate, random_policy
+from silem.study.evaluate import RandomPolicy, evaluate
 from silem.util import seeding
 from silem.util.errors import SilemError
 
@@ -58,18 +58,8 @@ def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
         walk.set_title(f"The demonstrator: {way_m:.1f} m in {motion.duration_s:.1f} s")
         for name in names:
             panels[name].set_title(name)
-            _portrait(panels[name], name)
+            film.portrait(panels[name], name, _PORTRAIT)
     return figure
-
-
-def _portrait(axes: Axes, name: str) -> None:
-    """Show a humanoid standing, or say that it cannot be drawn."""
-    try:
-        style.picture(axes, film.still(body_of(name), _PORTRAIT))
-    except SilemError:
-        style.picture(axes, np.full((*_PORTRAIT[::-1], 3), 255, np.uint8))
-        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
-        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
 def _project(points: np.ndarray) -> np.ndarray:
@@ -344,7 +334,7 @@ def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
     for body in map(body_of, names):
         row = rows.setdefault(body.name, {})
         for label, std in (("no torques", 0.0), ("random torques", 1.0)):
-            found = evaluate(random_policy(body, std=std), body.name, n_episodes, seed)
+            found = evaluate(RandomPolicy(body, std=std), body.name, n_episodes, seed)
             row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
             row[f"{label}: return"] = found.return_mean
     return pd.DataFrame(rows).T.rename_axis("body")
