@@ -1,7 +1,7 @@
 """Build the book: execute the notebooks, stage them with the prose, run jupyter-book.
 
 ``python -m silem.report.build`` is what ``make book`` calls; with ``--figures`` it redraws instead
-the committed files of `FIGURES`. The steps are separate:
+the committed figures. The steps are separate:
 
 1. papermill executes every notebook in its own process, a few at a time (`execute`);
 2. the executed copies and ``book/`` are laid out as one source tree in ``_build/source``
@@ -20,13 +20,12 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 import nbformat
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from silem.report import glance, results, style
@@ -50,11 +49,6 @@ BOOK_PARAMETERS: Parameters = {
 }
 """The book's own; the notebooks' defaults are made for tests."""
 
-FIGURES: dict[str, Callable[[], Figure]] = {
-    "halfcheetah.svg": lambda: normalised_scores(results.load_records("halfcheetah", "book"))
-}
-"""The figures that stand as files in ``book/figures``: the same records give the same bytes."""
-
 _CELL_TIMEOUT_S = 900
 _STATE = "book.json"  # what a finished build was made from
 _FOLDED = {
@@ -69,20 +63,16 @@ def notebooks() -> list[Path]:
 
 
 def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
-    """Draw every one of `FIGURES` into a folder and return the files."""
-    for name, draw in FIGURES.items():
-        style.save(draw(), folder / name)
-    return [folder / name for name in FIGURES]
+    """Draw the figure that stands as a file in ``book/figures``: same records, same bytes."""
+    path = folder / "halfcheetah.svg"
+    style.save(normalised_scores(results.load_records("halfcheetah", "book")), path)
+    return [path]
 
 
 def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
     """Execute notebooks side by side, each in a process of its own, with a progress bar.
 
-    Args:
-        paths: The notebooks.
-        folder: Receives the executed copies, failed ones too; what it held before is removed.
-        n_workers: How many run at a time.
-        parameters: By the notebook's name, those that differ from its defaults.
+    The folder receives the executed copies, failed ones too; what it held before is removed.
 
     Raises:
         SilemError: If a notebook failed, once all have run; the message holds each failure.
@@ -120,12 +110,7 @@ def _papermill(notebook: Path, target: Path, parameters: Mapping[str, Any]) -> t
 
 
 def stage(executed: Path, target: Path) -> None:
-    """Lay out the sources of the book: configuration, prose, notebooks with parameters folded away.
-
-    Args:
-        executed: The folder of executed notebooks.
-        target: The source tree for jupyter-book; replaced.
-    """
+    """Lay out the book's sources anew: configuration, prose, notebooks with parameters folded."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(REPO / "book", target / "book", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("_config.yml", "_toc.yml"):
@@ -142,11 +127,7 @@ def stage(executed: Path, target: Path) -> None:
 
 
 def build_html(source: Path, output: Path) -> None:
-    """Run jupyter-book on a staged source tree, warnings being errors.
-
-    Args:
-        source: The staged source tree.
-        output: The folder under which ``_build/html`` appears; an older build is replaced.
+    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``.
 
     Raises:
         SilemError: If jupyter-book reports an error or a warning.
@@ -193,11 +174,8 @@ def build(
     Args:
         n_workers: How many notebooks run at a time.
         reuse_executed: Take the notebooks executed last time, where there are any.
-        root: The folder to build under.
+        root: The folder to build under; that of the pages is returned.
         parameters: By the notebook's name, those that differ from its defaults.
-
-    Returns:
-        The folder of its pages.
 
     Raises:
         SilemError: If a notebook or a page fails, or another build is under way.

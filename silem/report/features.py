@@ -9,43 +9,29 @@ from silem.bodies import BulletBody
 from silem.motion.features import FEATURES
 
 _TORSO = (
-    "height above start",
-    "bearing, sine",
-    "bearing, cosine",
-    "forward velocity",
-    "sideways velocity",
-    "vertical velocity",
-    "roll",
-    "pitch",
-)
+    "height above start", "bearing, sine", "bearing, cosine", "forward velocity",
+    "sideways velocity", "vertical velocity", "roll", "pitch",
+)  # fmt: skip
 _PARTS = {"b": "back ", "f": "front "}
 
 
 class Group(NamedTuple):
-    """Features that belong together and are measured in one unit.
-
-    Attributes:
-        name: What they are, e.g. "left hand".
-        unit: Their unit, "" for directions, and a factor where the feature is scaled.
-        columns: Which features, as indices into `feature_names`.
-        labels: What tells them apart within the group, e.g. x, y, z.
-    """
+    """Features that belong together, "left hand" for instance, and are measured in one unit."""
 
     name: str
     unit: str
+    """"" for directions; with a factor where the feature is scaled."""
     columns: tuple[int, ...]
+    """Which features, as indices into `feature_names`."""
     labels: tuple[str, ...]
+    """What tells them apart within the group, e.g. x, y, z."""
 
 
 def feature_names(body: str) -> list[str]:
     """Name a body's skeletal features, in their order.
 
     A PyBullet body's are its observation (g is the identity, see
-    `silem.envs.bullet.task.LocomotionTask`): the torso's, then each motor's angle and velocity,
-    then the feet's contacts. A humanoid's are `silem.motion.features.FEATURES`.
-
-    Raises:
-        SilemError: The body is unknown.
+    `silem.envs.bullet.task.LocomotionTask`), a humanoid's `silem.motion.features.FEATURES`.
     """
     if not isinstance(bodies.get(body), BulletBody):
         return [feature.label for feature in FEATURES]
@@ -59,13 +45,7 @@ def feature_names(body: str) -> list[str]:
 
 
 def feature_groups(body: str) -> list[Group]:
-    """Sort a body's skeletal features into groups, each with its unit.
-
-    A PyBullet body's are the torso, joint angles, joint velocities and floor contacts.
-
-    Raises:
-        SilemError: The body is unknown.
-    """
+    """Sort a body's features into groups: a runner's torso, angles, velocities and contacts."""
     known = bodies.get(body)
     if not isinstance(known, BulletBody):
         return _humanoid_groups()

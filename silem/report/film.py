@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache
@@ -52,16 +52,12 @@ _INK, _CHALK = (32, 32, 32), (245, 245, 245)
 _DARK = 96  # a background of less light than this gets a label in chalk
 _LABEL_SIZE = 0.055  # of the picture's height
 _STRIP_WIDTH, _WEBP_WIDTH = 1500, 320
+_GALLERY: Size = (480, 300)
 
 
 @dataclass(frozen=True)
 class Clip:
-    """A body in motion.
-
-    Attributes:
-        frames: Pictures (T, H, W, 3), uint8.
-        frames_per_s: Pictures per second of simulated time, so that it plays at real speed.
-    """
+    """A body in motion: pictures (T, H, W, 3), uint8, and how many make a simulated second."""
 
     frames: np.ndarray
     frames_per_s: float
@@ -83,16 +79,9 @@ def rollout(
     seed: int = 0,
     size: Size = SIZE,
 ) -> Clip:
-    """Film a policy from the start of an episode; it acts stochastically, as in evaluation.
+    """Film a policy, None for random actions, from the start of an episode, at most to its end.
 
-    The clip ends where the episode does, if that comes first.
-
-    Args:
-        body: A body, or a registered body's name.
-        policy: The policy; None for uniformly random actions.
-        duration_s: Simulated time to film, seconds.
-        seed: Seed of the start state and of the policy's random numbers.
-        size: Width and height of the pictures, pixels.
+    It acts stochastically, as in evaluation; the seed is that of the start and of its actions.
 
     Raises:
         SilemError: The body is unknown, the duration is not positive, or nothing can be drawn
@@ -122,16 +111,7 @@ def rollout(
 
 
 def of_runs(runs: Mapping[str, RunRecord], duration_s: float, size: Size = SIZE) -> dict[str, Clip]:
-    """Film the policies of finished runs, all from the same seed.
-
-    Args:
-        runs: The runs by their labels.
-        duration_s: Simulated time to film, seconds.
-        size: Width and height of each, pixels.
-
-    Returns:
-        The clips by their labels, which now say when a body fell.
-    """
+    """Film the policies of finished runs by label, from one seed; labels now say who fell when."""
     clips = {}
     for label, run in runs.items():
         learner, policy = run.run_config().learner, load_policy(run)
@@ -148,14 +128,9 @@ def motion(
     duration_s: float = math.inf,
     size: Size = SIZE,
 ) -> Clip:
-    """Film a humanoid posed along a given motion, in real time; no physics acts.
+    """Film a humanoid posed along the start of a motion, in real time; no physics acts.
 
-    Args:
-        body: A humanoid, or its name.
-        qpos: Positions of all joints, (T, nq).
-        rate_hz: States per second, of which every other is shown.
-        duration_s: How much of it to film, from its beginning; all of it if it is shorter.
-        size: Width and height of the pictures, pixels.
+    Of `qpos` (T, nq), with `rate_hz` poses a second, every other one is shown.
 
     Raises:
         SilemError: It is no humanoid, the duration is not positive, or nothing can be drawn
@@ -187,10 +162,7 @@ def man() -> MujocoBody:
 def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
     """Picture (H, W, 3) a body at rest: a humanoid standing, a runner's joints as near zero.
 
-    Args:
-        body: A body, or a registered body's name.
-        size: Width and height of the picture, pixels.
-        span_m: Width of what is seen at a runner, metres; None lets the body fit.
+    The camera fits the body, or sees `span_m` metres of width at a runner.
 
     Raises:
         SilemError: The body is unknown, the size or the span is not positive, there is a span for
@@ -213,6 +185,17 @@ def portrait(axes: Axes, body: Body | str, size: Size, span_m: float | None = No
         axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
+def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> np.ndarray:
+    """Picture (H, W, 3) runners at rest on one scale, each with the length that it varies by."""
+    blank = bool(why_no_pictures(names[0]))
+    stills = {}
+    for name in names:
+        label = f"{name}: {bodies.get(name).length[1]:g} m{', not drawn here' if blank else ''}"
+        white = np.full((*_GALLERY[::-1], 3), 255, np.uint8)
+        stills[label] = Clip((white if blank else still(name, _GALLERY, span_m))[None], 1)
+    return grid(stills, n_columns, 2 * _LABEL_SIZE).frames[0]
+
+
 def why_no_pictures(body: str) -> str:
     """Return why a body cannot be pictured here, "" if it can: that needs OpenGL offscreen."""
     try:
@@ -231,7 +214,7 @@ def _pictures(body: MujocoBody, poses: np.ndarray, size: Size) -> np.ndarray:
 # ---------------------------------------------------------------- cutting
 
 
-def grid(clips: Mapping[str, Clip], n_columns: int = 3) -> Clip:
+def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LABEL_SIZE) -> Clip:
     """Lay clips out in rows, each under its label; one that ends early holds its last frame.
 
     Raises:
@@ -248,18 +231,18 @@ def grid(clips: Mapping[str, Clip], n_columns: int = 3) -> Clip:
         top, left = down * (index // n_columns), across * (index % n_columns)
         shown = np.minimum(np.arange(n_frames), len(clip.frames) - 1)
         panel = frames[:, top : top + height, left : left + width]
-        panel[:] = _labelled(clip, label).frames[shown]
+        panel[:] = _labelled(clip, label, label_size).frames[shown]
     return Clip(frames, first.frames_per_s)
 
 
-def _labelled(clip: Clip, label: str) -> Clip:
-    """Write a label into the upper left corner of every frame of a clip."""
+def _labelled(clip: Clip, label: str, size: float) -> Clip:
+    """Write a label, its size a share of the height, into the upper left corner of every frame."""
     height, width = clip.frames.shape[1:3]
     font = ImageFont.truetype(
-        font_manager.findfont("DejaVu Sans"), size=max(9, round(_LABEL_SIZE * height))
+        font_manager.findfont("DejaVu Sans"), size=max(9, round(size * height))
     )
     plate = Image.new("L", (width, height), 0)
-    corner = round(_LABEL_SIZE * height / 2)
+    corner = round(size * height / 2)
     ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
     ink = (np.asarray(plate, np.float32) / 255)[:, :, None]
     covered = clip.frames[:, ink[:, :, 0] > 0]

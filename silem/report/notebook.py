@@ -1,12 +1,21 @@
-"""What the notebooks share: how figures, tables, videos and numbers are shown."""
+"""What the notebooks share: their parameters, and how figures, tables, films and numbers are shown.
+
+A notebook's second cell, tagged ``parameters``, holds plain literals; papermill injects a cell of
+overriding literals after it. papermill only warns about a name the notebook does not know and
+never checks a type, so a misspelt parameter would silently run the defaults. The third cell
+therefore calls `parameters`.
+"""
 
 from __future__ import annotations
 
+import ast
 import base64
 import html
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain, groupby
 from numbers import Integral, Real
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,13 +29,100 @@ from pandas.io.formats.style import Styler
 from silem.report import film as films
 from silem.report import results, style, tables
 from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
-from silem.report.parameters import literal_assignments, parameters
 from silem.study.config import TRIAL_SEEDS
+from silem.util.errors import SilemError
 
-__all__ = [
-    "film", "literal_assignments", "note", "parameters", "play", "play_first_trials", "say", "show",
-    "show_picture", "table", "text",
-]  # fmt: skip
+_PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
+_TRIAL = 400, 300  # pixels of one trial's film
+
+# ---------------------------------------------------------------- parameters
+
+
+def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
+    """Check a notebook's parameters and return them as attributes.
+
+    In Jupyter and papermill, the names checked are those assigned by the last cells that held
+    nothing but assignments of literals: the ``parameters`` cell and the one papermill injects.
+    Variables of other cells are no parameters, and the cell can be run again at any time.
+
+    Args:
+        namespace: The notebook's ``globals()``, or a dict of parameters, which is checked whole.
+        **schema: For each parameter its type (``str``, ``int``, ``float`` or ``bool``) or the
+            strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
+
+    Raises:
+        SilemError: Some parameter is unknown, missing, of a wrong type, not finite, or not one
+            of the strings allowed. The message names each and lists what is allowed.
+    """
+    problems = [f"unknown parameter {n!r}" for n in _given(namespace) if n not in schema]
+    problems += [f"parameter {name!r} is missing" for name in schema if name not in namespace]
+    values = {name: namespace[name] for name in schema if name in namespace}
+    for name, value in values.items():
+        if not _conforms(value, schema[name]):
+            problems.append(f"{name} = {value!r} is not {_describe(schema[name])}")
+        elif schema[name] is float:
+            values[name] = float(value)
+    if problems:
+        listing = "; ".join(f"{name}: {_describe(allowed)}" for name, allowed in schema.items())
+        raise SilemError(f"{'; '.join(problems)}. Allowed: {listing}")
+    return SimpleNamespace(**values)
+
+
+def _given(namespace: Mapping[str, Any]) -> list[str]:
+    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
+    if "get_ipython" not in namespace:
+        return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
+    assigned = [literal_assignments(source) for source in namespace.get("In", [])]
+    neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
+    names = chain(*neighbours[-1]) if neighbours else ()
+    return [name for name in dict.fromkeys(names) if name in namespace]
+
+
+def literal_assignments(source: str) -> list[str]:
+    """Return the names that a cell assigns, if it does nothing but assign literals, else []."""
+    try:
+        statements = ast.parse(source).body
+    except SyntaxError:
+        return []
+    names = []
+    for statement in statements:
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or not _literal(statement.value):
+            return []
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        names += [target.id for target in targets if isinstance(target, ast.Name)]
+    return names
+
+
+def _literal(node: ast.expr | None) -> bool:
+    """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
+        return all(isinstance(argument, ast.Constant) for argument in node.args)
+    try:
+        ast.literal_eval(node)  # type: ignore[arg-type]
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
+def _conforms(value: Any, allowed: type | Sequence[str]) -> bool:
+    """Whether a parameter's value is what the schema allows."""
+    if not isinstance(allowed, type):
+        return isinstance(value, str) and value in allowed
+    if isinstance(value, bool) or allowed is bool:
+        return isinstance(value, bool) and allowed is bool
+    if allowed is float:
+        return isinstance(value, int | float) and math.isfinite(value)
+    return isinstance(value, allowed)
+
+
+def _describe(allowed: type | Sequence[str]) -> str:
+    """What the schema allows, in words."""
+    if isinstance(allowed, type):
+        return "a finite float" if allowed is float else f"of type {allowed.__name__}"
+    return f"one of {', '.join(allowed)}"
+
+
+# ---------------------------------------------------------------- display
 
 
 def show(figure: Figure) -> None:
@@ -46,10 +142,7 @@ def show_picture(picture: np.ndarray) -> None:
 def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
     """Return a table in the book's look; a named index becomes its first column.
 
-    Args:
-        frame: The table.
-        digits: Digits after the point of numbers that are not whole; None writes them as they are.
-        caption: What it shows.
+    Numbers that are not whole get `digits` after the point; with None they stay as they are.
     """
     named = frame.reset_index() if frame.index.name else frame
     return tables.styled(named.map(lambda value: _cell(value, digits)), caption)
@@ -64,12 +157,7 @@ def _cell(value: Any, digits: int | None) -> str:
 
 
 def play(clip: Clip | None, caption: str) -> None:
-    """Embed a clip as a video that needs neither a network nor a file beside the page.
-
-    Args:
-        clip: The clip; it plays at the speed of the simulation. None says that there is none yet.
-        caption: What it shows, as plain text.
-    """
+    """Embed a clip as a video that needs no file beside the page; None: say that there is none."""
     if clip is None:
         return note(f"No video ({caption}): no run with a policy has been published yet.")
     height, width = clip.frames.shape[1:3]
@@ -88,15 +176,7 @@ def play(clip: Clip | None, caption: str) -> None:
 
 
 def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
-    """Make a clip and play it; where nothing can be drawn offscreen, say why instead.
-
-    Args:
-        make: Makes the clip, e.g. ``lambda: film.rollout("Atlas")``.
-        caption: What it shows, as plain text.
-
-    Returns:
-        The clip, if there is one.
-    """
+    """Make, play and return a clip; where nothing can be drawn offscreen, say why instead."""
     if why := why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
         return None
@@ -110,39 +190,41 @@ def show_strip(clip: Clip | None) -> None:
     note("No pictures: there is no clip.") if clip is None else show_picture(films.strip(clip))
 
 
-def play_first_trials(
-    records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
+def play_trials(
+    records: pd.DataFrame,
+    methods: Sequence[str],
+    body: str,
+    duration_s: float,
+    *,
+    best: bool = False,
 ) -> None:
-    """Film the first trial of each method on a body, side by side, from the saved policies.
+    """Film one trial of each method on a body, from one start and side by side.
 
-    The first trial rather than the best one: its seed was fixed before any run was made. What
-    cannot be filmed, because that run is not there yet, is named instead.
-
-    Args:
-        records: Runs of one study at one budget, from `silem.report.results.load_records`.
-        methods: The methods, from left to right.
-        body: The body.
-        duration_s: Simulated time to film, seconds.
+    The first trial, whose seed was fixed before any run was made, or the best one. A run of another
+    number of iterations than planned only counts where there is no planned one. What cannot be
+    filmed is named instead; whoever falls stands still from then on.
     """
-    chosen = {}
+    if why := why_no_pictures(body):
+        return note(f"No videos of {body}: {why}")
+    chosen, absent = {}, []
     for method in methods:
-        label = style.method(method, results.original_body(records)).label
-        of_cell = (records["method"] == method) & (records["body"] == body)
-        first = records[of_cell & (records["seed"] == TRIAL_SEEDS[0])]
-        record = results.find(first["run_id"].iloc[0]) if len(first) else None
-        if record is None:
-            note(f"No policy of {label} on {body} has been published at this budget yet.")
-            continue
-        if first["stand_in"].iloc[0]:
-            label += f", {first['n_iterations'].iloc[0]:,} iterations"
-        if why := why_no_pictures(body):
-            note(f"No video of {label} on {body}: {why}")
-            continue
-        chosen[label] = record
+        look = style.method(method, results.original_body(records))
+        label = look.label.partition(",")[0]
+        groups = [find(records, method, body) for find in (results.cell, results.stand_ins)]
+        if not best:
+            groups = [runs[runs["seed"] == TRIAL_SEEDS[0]] for runs in groups]
+        runs = next((runs for runs in groups if len(runs)), None)
+        if runs is None:
+            absent.append(label)
+        else:
+            run = runs.loc[runs["return_mean"].idxmax()]
+            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
+            chosen[label] = results.find(run["run_id"])
     if chosen:
-        clips = films.of_runs(chosen, duration_s)
-        text = f"{body}, first trial, in real time: {' | '.join(clips)}"
-        play(films.grid(clips), text)
+        clips, which = films.of_runs(chosen, duration_s, _TRIAL), "best" if best else "first"
+        play(films.grid(clips), f"{body}, {which} trials, in real time: {' | '.join(clips)}")
+    if absent:
+        note(f"No finished run on {body} yet: {'; '.join(absent)}.")
 
 
 def text(words: str) -> None:
@@ -164,12 +246,10 @@ def _display_html(text: str) -> None:
 
 
 def say(**values: float | str | np.ndarray | None) -> None:
-    """Make numbers available to the page's sentences, through ``{glue:text}`name` ``.
+    """Make numbers and texts available to the page's sentences, through ``{glue:text}`name` ``.
 
-    Args:
-        **values: Numbers or texts by the name that the sentences use; of an array, such as the
-            scores of a cell's trials, the mean. None, NaN and an empty array, for what no run has
-            shown yet, become a dash.
+    Of an array, such as the scores of a cell's trials, that is the mean. None, NaN and an empty
+    array, for what no run has shown yet, become a dash.
     """
     for name, value in values.items():
         if isinstance(value, np.ndarray):

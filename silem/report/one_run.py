@@ -39,19 +39,14 @@ _ALWAYS = ("return of an episode", "forward speed (m/s)")
 
 
 def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float = 2.0) -> Figure:
-    """Draw the start of one demonstrated trajectory, every skeletal feature over time.
-
-    Args:
-        demonstrations: Of a PyBullet body, whose features are its observation. Those of a human
-            are drawn by `silem.report.figures.motion`.
-        index: Which trajectory.
-        duration_s: How much of it, seconds.
+    """Draw the start of one demonstrated trajectory of a runner, every feature over time.
 
     Raises:
         SilemError: It is no PyBullet body's, there is no such trajectory, or its features are not
             the body's.
     """
-    body = bodies.get(choose("runner", demonstrations.body, _runners()))
+    runners = [name for name in bodies.names() if bodies.get(name).engine == "bullet"]
+    body = bodies.get(choose("runner", demonstrations.body, runners))
     names = feature_names(body.name)
     if not 0 <= index < len(demonstrations.features):
         raise SilemError(f"trajectory {index} of {len(demonstrations.features)}")
@@ -67,7 +62,10 @@ def trajectory(demonstrations: Demonstrations, index: int = 0, duration_s: float
         )
         time_s = np.arange(len(values)) * BulletBody.control_step_s
         for axes, group in zip(all_axes[:3], lines, strict=True):
-            _draw_lines(axes, time_s, values, group)
+            axes.set_prop_cycle(color=mpl.colormaps["tab10"].colors)  # type: ignore[attr-defined]
+            axes.plot(time_s, values[:, group.columns], lw=1.2, label=group.labels)
+            axes.set_ylabel(f"{group.name}\n({group.unit})")
+            axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8, handlelength=1.2)
         _draw_contacts(all_axes[3], values, contacts)
         all_axes[3].set_xlabel("time (s)")
         figure.align_ylabels(all_axes)
@@ -83,21 +81,23 @@ def curve(record: RunRecord) -> Figure:
         SilemError: The run has no curve, or its file is damaged.
     """
     table = pd.DataFrame(files.read_csv(record.file(CURVE)))
-    panels = [
-        (title, lines) for title, lines in _PANELS if title in _ALWAYS or _is_known(table, lines)
-    ]
-    panels = panels[: 6 if _is_known(table, {"episode_length": ""}) else 4]
+    # an older curve lacks the newest columns
+    known = {name for name in table if table[name].notna().any()}
+    if bodies.get(record.config["body"]).engine == "bullet":  # nobody falls
+        known.discard("episode_length")
+    panels = [panel for panel in _PANELS if panel[0] in _ALWAYS or known & panel[1].keys()]
+    panels = panels[: 6 if "episode_length" in known else 4]
     with style.applied():
         n_columns = 3 if len(panels) == 3 else 2
         n_rows = -(-len(panels) // n_columns)
         figure, grid = style.new_figure(
             2.0 * n_rows + 0.4, nrows=n_rows, ncols=n_columns, sharex=True, squeeze=False
         )
+        for axes in grid.flat[len(panels) :]:
+            axes.set_axis_off()
         for axes, (title, lines) in zip(grid.flat, panels, strict=False):
             axes.set_title(title)
             _draw_curve(axes, table, lines)
-        for axes in grid.flat[len(panels) :]:
-            axes.set_axis_off()
         for axes in grid.flat[len(panels) - n_columns : len(panels)]:
             axes.set_xlabel("timesteps")
             axes.tick_params(labelbottom=True)
@@ -125,15 +125,10 @@ def transform(record: RunRecord) -> Figure:
     return figure
 
 
-def _is_known(table: pd.DataFrame, lines: dict[str, str]) -> bool:
-    """Tell whether a curve has a number in any of some columns; older curves lack the newest."""
-    return bool(table.reindex(columns=list(lines)).notna().to_numpy().any())
-
-
 def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
     colors = style.INK, style.method("silem").color
     for color, (column, label) in zip(colors, lines.items(), strict=False):
-        known = table[["timesteps", column]].dropna()
+        known = table.reindex(columns=["timesteps", column]).dropna()
         if known.empty:
             axes.text(
                 0.5, 0.5, "no episode ended during training", transform=axes.transAxes,
@@ -155,31 +150,13 @@ def _draw_curve(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
-def _runners() -> list[str]:
-    return [name for name in bodies.names() if bodies.get(name).engine == "bullet"]
-
-
-def _draw_lines(axes: Axes, time_s: np.ndarray, values: np.ndarray, group: Group) -> None:
-    colors = mpl.colormaps["tab10"].colors  # type: ignore[attr-defined]
-    for place, (column, label) in enumerate(zip(group.columns, group.labels, strict=True)):
-        axes.plot(time_s, values[:, column], lw=1.2, color=colors[place % 10], label=label)
-    axes.set_ylabel(f"{group.name}\n({group.unit})")
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, handlelength=1.2)
-
-
 def _draw_contacts(axes: Axes, values: np.ndarray, group: Group) -> None:
     """Draw a bar for every stretch of time in which a part touches the floor."""
     for row, column in enumerate(group.columns):
         touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
         starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
-        bars = list(
-            zip(
-                starts * BulletBody.control_step_s,
-                (ends - starts) * BulletBody.control_step_s,
-                strict=True,
-            )
-        )
-        axes.broken_barh(bars, (row - 0.35, 0.7), color=style.INK, lw=0)
+        bars = BulletBody.control_step_s * np.stack([starts, ends - starts], axis=1)
+        axes.broken_barh(bars.tolist(), (row - 0.35, 0.7), color=style.INK, lw=0)
     axes.set_yticks(range(len(group.labels)), group.labels)
     axes.set_ylim(len(group.labels) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")

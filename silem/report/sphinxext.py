@@ -11,7 +11,7 @@ A page that names a number takes it from where the code takes it, so that the tw
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from docutils import nodes
@@ -20,7 +20,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from silem import paper
-from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, of_family
+from silem.study.settings import BUDGETS, METHODS, HyperParameters, of_family
 from silem.util.errors import SilemError, choose
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -100,7 +100,10 @@ def paper_table(key: str = "") -> Table:
     table, known = paper.table(key), paper.symbols()
     if table.kind == "common":
         head = ["Hyper-parameter", "Value", "Name here"]
-        rows = [[r["meaning"], as_text(r["value"]), _code(r["parameter"])] for r in table.rows]
+        rows = [
+            [r["meaning"], as_text(r["value"]), f"`{r['parameter']}`" if r["parameter"] else ""]
+            for r in table.rows
+        ]
     elif table.kind == "grid":
         head = ["Symbol", "Hyper-parameter", "Values", "Name here"]
         rows = [
@@ -108,7 +111,7 @@ def paper_table(key: str = "") -> Table:
                 known[row["symbol"]].latex,
                 f"**{row['meaning']}**" if row.get("silem_only") else row["meaning"],
                 as_text(row["values"]),
-                _code(known[row["symbol"]].parameter),
+                f"`{name}`" if (name := known[row["symbol"]].parameter) else "",
             ]
             for row in table.rows
         ]
@@ -118,10 +121,6 @@ def paper_table(key: str = "") -> Table:
     caption = f"{table.caption} ({table.source}, Table {table.number})"
     caption += f" {table.note}" if table.note else ""
     return Table(f"paper-{table.key.replace('.', '-')}", caption, head, rows)
-
-
-def _code(name: str) -> str:
-    return f"`{name}`" if name else ""
 
 
 def _heading(kind: str, column: str) -> str:
@@ -139,29 +138,31 @@ def settings() -> Table:
         users = field.metadata["methods"]
         used_by = "all" if set(users) == learned else ", ".join(users)
         rows.append((f"`{field.name}`", layers(field.default), used_by))
-    caption = "The hyper-parameters of `HyperParameters`, their defaults, and the methods that use"
-    caption += " each. The paper's best combination of a cell replaces the defaults."
+    caption = (
+        "The hyper-parameters of `HyperParameters`, their defaults, and the methods that use"
+        " each. The paper's best combination of a cell replaces the defaults."
+    )
     return Table("settings", caption, ("Name", "Default", "Used by"), rows)
 
 
 def budgets() -> Table:
     """Return the budgets: how much each spends."""
-    head = ["Budget", "Environments", "Steps per iteration", "Iterations", "Trials"]
-    head.append("Evaluation episodes")
     rows = []
     for budget in BUDGETS.values():
-        steps = [as_text(budget.n_envs), as_text(budget.steps_per_iteration), _iterations(budget)]
-        counts = [as_text(budget.n_trials), as_text(budget.n_eval_episodes)]
-        rows.append([f"`{budget.name}`", *steps, *counts])
-    return Table("budgets", "What each budget spends on a run.", head, rows)
-
-
-def _iterations(budget: Budget) -> str:
-    """Write a budget's iterations, and the humanoids' where those are others."""
-    humanoids = of_family(budget, "humanoid").n_iterations
-    text = as_text(budget.n_iterations)
-    same = humanoids == budget.n_iterations
-    return text if same else f"{text}; humanoids {as_text(humanoids)}"
+        iterations, walking = budget.n_iterations, of_family(budget, "humanoid").n_iterations
+        row = {
+            "Budget": f"`{budget.name}`",
+            "Environments": as_text(budget.n_envs),
+            "Steps per iteration": as_text(budget.steps_per_iteration),
+            "Iterations": as_text(iterations),
+            "Trials": as_text(budget.n_trials),
+            "Evaluation episodes": as_text(budget.n_eval_episodes),
+        }
+        if walking != iterations:
+            row["Iterations"] += f"; humanoids {as_text(walking)}"
+        rows.append(row)
+    caption = "What each budget spends on a run."
+    return Table("budgets", caption, list(rows[0]), [list(row.values()) for row in rows])
 
 
 TABLES: dict[str, Callable[..., Table]] = {
@@ -184,14 +185,11 @@ class TableDirective(SphinxDirective):
             raise self.error(str(error)) from error
         # Colons, not backticks: a caption may hold code.
         lines = [f":::{{table}} {table.caption}", f":name: {table.name}", ":align: center", ""]
-        lines += map(_line, [table.head, ["---"] * len(table.head), *table.rows])
+        rows = [table.head, ["---"] * len(table.head), *table.rows]
+        lines += [f"| {' | '.join(row)} |" for row in rows]
         parent = nodes.container()
         self.state.nested_parse(StringList([*lines, ":::"], source=""), self.content_offset, parent)
         return list(parent.children)
-
-
-def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

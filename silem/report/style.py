@@ -93,14 +93,9 @@ _LIGHT, _DARK = np.array([0.80, 0.74, 0.90]), np.array([0.25, 0.07, 0.42])
 
 
 def method(name: str, original: str = "HC0") -> MethodStyle:
-    """Return a method's style with its label filled in.
+    """Return a method's style, its label naming the body whose expert demonstrates to the others.
 
-    Args:
-        name: A method of this project.
-        original: The body whose expert demonstrates to the others, "" where a human does.
-
-    Raises:
-        SilemError: If the method is unknown.
+    That is "" where a human does. An unknown method is a SilemError.
     """
     chosen = METHODS[choose("method", name, METHODS)]
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
@@ -122,13 +117,7 @@ def applied() -> Iterator[None]:
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN, **subplots: Any) -> tuple[Figure, Any]:
-    """Return a figure with constrained layout and its axes.
-
-    Args:
-        height_in: Height, inches.
-        width_in: Width, inches.
-        **subplots: Passed to `Figure.subplots`.
-    """
+    """Return a figure of some inches with constrained layout, and its axes (`Figure.subplots`)."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     return figure, figure.subplots(**subplots)
 

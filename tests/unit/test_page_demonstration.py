@@ -22,6 +22,7 @@ from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import standing_feet
 from silem.report import film, style
 from silem.report.pages import demonstration as page
+from silem.report.pages.humanoids import limb_distances_m
 from silem.report.stick_figure import SIDE_COLORS
 
 
@@ -108,7 +109,7 @@ def test_the_table_has_every_clip_as_it_was_published() -> None:
 
 
 def test_the_model_is_the_one_whose_distances_the_paper_gives() -> None:
-    distances = page.limb_distances_m(film.man())
+    distances = limb_distances_m(film.man())
     assert round(distances["left_foot"], 2) == paper.number("feet_distances")[0]
     assert round(distances["left_hand"], 2) == paper.number("hand_distances")[0]
 

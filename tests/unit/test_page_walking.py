@@ -178,8 +178,8 @@ def test_the_best_planned_run_of_each_method_is_filmed(
     monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
     monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
     monkeypatch.setattr(notebook, "note", notes.append)
-    monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
-    walking.show(frame, "Humanoid", 0.1)
+    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
+    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
     assert list(filmed) == ["SILEM", f"PPO, {SHORT} iterations"]
     best = results.cell(frame, "silem", "Humanoid").nlargest(1, "return_mean")
     assert filmed["SILEM"].run_id == best["run_id"].item()
@@ -187,6 +187,6 @@ def test_the_best_planned_run_of_each_method_is_filmed(
         "Humanoid, best trials, in real time: a clip",
         "No finished run on Humanoid yet: SILEM⁻; TPIL; Peng20.",
     ]
-    monkeypatch.setattr(film, "why_no_pictures", lambda body: "no OpenGL")
-    walking.show(frame, "Humanoid", 0.1)
+    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "no OpenGL")
+    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
     assert notes[-1] == "No videos of Humanoid: no OpenGL"

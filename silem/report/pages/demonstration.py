@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import mujoco
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from silem.bodies import MujocoBody
 from silem.motion import demonstrations
 from silem.motion.demonstrator import CLIPS, Motion, published_name
-from silem.motion.features import FEATURES, POINTS, Landmarks
+from silem.motion.features import FEATURES, POINTS
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import standing_feet
 from silem.report import stick_figure, style
@@ -111,22 +109,14 @@ def clips() -> pd.DataFrame:
     Raises:
         SilemError: One of them was not published.
     """
-    rows = []
-    for clip in CLIPS:
-        about = demonstrations.entry(published_name(clip))
-        row = {"clip": clip, "states": about["n_states"], "duration (s)": about["duration_s"]}
-        row["distance (m)"] = about["speed_m_s"] * about["duration_s"]
-        row["mean speed (m/s)"] = about["speed_m_s"]
-        rows.append(row | {"repairs": "; ".join(about["repairs"]) or "none"})
-    return pd.DataFrame(rows)
-
-
-def limb_distances_m(body: MujocoBody) -> dict[str, float]:
-    """Return how far hands and feet are from the torso in m by name, all joints at zero."""
-    model = mujoco.MjModel.from_xml_string(body.model_xml())
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    points = Landmarks(model, body.skeleton).points(data)
-    distances = np.linalg.norm(points - points[POINTS.index("torso")], axis=1)
-    limbs = ("left_foot", "right_foot", "left_hand", "right_hand")
-    return {limb: float(distances[POINTS.index(limb)]) for limb in limbs}
+    about = pd.DataFrame([demonstrations.entry(published_name(clip)) for clip in CLIPS])
+    return pd.DataFrame(
+        {
+            "clip": CLIPS,
+            "states": about["n_states"],
+            "duration (s)": about["duration_s"],
+            "distance (m)": about["speed_m_s"] * about["duration_s"],
+            "mean speed (m/s)": about["speed_m_s"],
+            "repairs": about["repairs"].str.join("; ").replace("", "none"),
+        }
+    )

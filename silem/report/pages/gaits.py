@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from pandas.io.formats.style import Styler
 from scipy import signal, stats
 
@@ -39,18 +38,17 @@ class ExpertGait(NamedTuple):
     gait: demonstrate.Gait
 
 
-def load(body: str, budget: str, n_trajectories: int) -> dict[str, ExpertGait | None]:
+Shown = dict[str, ExpertGait | None]
+"""Experts by the names of their demonstrations, None where there is no run."""
+
+
+def load(body: str, budget: str, n_trajectories: int) -> Shown:
     """Return the gaits of a body's experts by the name of their demonstrations ("HC0_s1").
 
-    The published demonstrations are measured where there are any of the run, else episodes
-    recorded here. A trial whose run is not there is None.
-
-    Args:
-        body: A runner.
-        budget: The experts' budget.
-        n_trajectories: Episodes to record of an expert without published demonstrations.
+    The published demonstrations are measured where there are any of the run, else
+    `n_trajectories` episodes recorded here. A trial whose run is not there is None.
     """
-    shown: dict[str, ExpertGait | None] = {}
+    shown: Shown = {}
     for config in experts(body, budget):
         record, name = runs.find(config.run_id), f"{body}_s{config.seed}"
         shown[name] = None
@@ -65,28 +63,23 @@ def _episodes(record: RunRecord, n_trajectories: int) -> Demonstrations:
     for name in (trial_name(record), body):
         if file_of(name).exists() and entry(name)["expert_run_id"] == record.run_id:
             return Demonstrations.load(name)
-    policy = load_policy(record)
-    return record_episodes(policy, body, n_trajectories, run_id=record.run_id)
+    return record_episodes(load_policy(record), body, n_trajectories, run_id=record.run_id)
 
 
 def chosen(body: str, budget: str) -> tuple[str, str]:
-    """Return the name of the demonstrator's own demonstrations, and a sentence on the choice.
-
-    The name is "" where not all experts are finished; the sentence says so then.
-    """
+    """Return the demonstrator's name, "" until all experts are finished, and a sentence on it."""
     try:
         record = demonstrator(body, budget)
     except SilemError as error:
         return "", f"No demonstrator yet: {error}."
     value = style.number(record.evaluation["return_mean"])
-    sentence = (
+    return trial_name(record), (
         f"The demonstrator is trial {record.config['seed']}: of the"
         f" {len(experts(body, budget))} experts it has the highest evaluation return, {value}."
     )
-    return trial_name(record), sentence
 
 
-def table(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Styler:
+def table(shown: Shown, demonstrator_name: str) -> Styler:
     """Return the gaits as a table, a row for each trial; the demonstrator's is marked.
 
     Returns and failures are those of the run's evaluation, the rest of the recorded episodes.
@@ -112,13 +105,19 @@ def table(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Styler
     return tables.styled(pd.DataFrame(rows).fillna(tables.DASH))
 
 
-def film_experts(shown: dict[str, ExpertGait | None], duration_s: float) -> film.Clip | None:
+def film_experts(shown: Shown, duration_s: float) -> film.Clip | None:
     """Film all experts that are there, side by side from one start; None without any."""
-    found = {
-        f"trial {_trial(name)}, {expert.gait.speed_m_s:.2f} m/s": expert.record
-        for name, expert in shown.items()
-        if expert is not None
-    }
+    return _film(
+        {
+            f"trial {_trial(name)}, {expert.gait.speed_m_s:.2f} m/s": expert.record
+            for name, expert in shown.items()
+            if expert is not None
+        },
+        duration_s,
+    )
+
+
+def _film(found: Mapping[str, RunRecord], duration_s: float) -> film.Clip | None:
     return film.grid(film.of_runs(found, duration_s, _PICTURE)) if found else None
 
 
@@ -140,7 +139,7 @@ def strides(pitch: np.ndarray) -> np.ndarray:
     return np.array(cut).reshape(-1, len(_PHASES))
 
 
-def draw_strides(shown: dict[str, ExpertGait | None], demonstrator_name: str) -> Figure:
+def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
     """Draw each expert's pitch over a stride: median, and the middle 80 % of all strides."""
     with style.applied():
         figure, grid = style.new_figure(
@@ -148,41 +147,36 @@ def draw_strides(shown: dict[str, ExpertGait | None], demonstrator_name: str) ->
         )
         for axes, (name, found) in zip(grid[0], shown.items(), strict=True):
             mark = name == demonstrator_name
+            color = style.method("silem").color if mark else style.INK
             axes.set_title(f"trial {_trial(name)}{' ●' if mark else ''}")
             axes.axhline(0, color=style.MUTED, lw=0.8, ls=(0, (4, 3)))
-            axes.set(xticks=[0, 0.5, 1], xlim=(0, 1))
-            axes.set_xticklabels(["0", "½", "1"])
+            axes.set(xlim=(0, 1))
+            axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
             if found is None:
                 axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
-            else:
-                _draw_stride(axes, found, style.method("silem").color if mark else style.INK)
+                continue
+            episodes = found.demonstrations.features
+            cut = np.concatenate(
+                [strides(demonstrate.pitch_rad(features)) for features in episodes]
+            )
+            if len(cut):
+                low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
+                axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
+                axes.plot(_PHASES, middle, color=color, lw=1.8)
+            axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
         grid[0][0].set_ylabel("pitch (rad), nose down")
         note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
         style.footer(figure, f"{note}; ●: the demonstrator")
     return figure
 
 
-def _draw_stride(axes: Axes, found: ExpertGait, color: str) -> None:
-    pitches = [demonstrate.pitch_rad(features) for features in found.demonstrations.features]
-    cut = np.concatenate([strides(pitch) for pitch in pitches])
-    if len(cut):
-        low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
-        axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
-        axes.plot(_PHASES, middle, color=color, lw=1.8)
-    axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
-
-
-def imitated(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> Figure:
+def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     """Draw score and speed of the study "demonstrators", a slot for each demonstrator.
 
     Demonstrators stand in the order of their pitch, which their labels name together with how many
     joints are at their limits; those without a gait come last. Bodies are columns.
-
-    Args:
-        frame: Runs of the study at one budget.
-        shown: The demonstrators, from `load`.
     """
-    names = sorted(shown, key=lambda name: _pitch(shown[name]))
+    names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
     score = _score_column(frame)
     titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
     bodies = results.body_names(frame)
@@ -194,20 +188,25 @@ def imitated(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> Figure
             column[0].set_title(body)
             for axes, quantity in zip(column, titles, strict=True):
                 _draw_slots(axes, frame[frame["body"] == body], names, quantity)
+            labels = []
             for x, name in enumerate(names):
+                about = "no run"
                 if (found := shown[name]) is not None:
-                    speed = found.gait.speed_m_s
-                    column[1].plot([x - 0.3, x + 0.3], [speed, speed], color=style.MUTED, lw=1.4)
-            column[1].set_xticks(range(len(names)), [_named(name, shown[name]) for name in names])
+                    g = found.gait
+                    column[1].hlines(g.speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
+                    pitch = tables.number(g.pitch_rad, 2)
+                    about = f"{pitch} rad\n{g.joints_at_limit:.1f} joints"
+                labels.append(f"trial {_trial(name)}\n{about}")
+            column[1].set_xticks(range(len(names)), labels)
             column[1].tick_params(axis="x", labelsize=7.5, length=0)
         for axes, title in zip(grid[:, 0], titles.values(), strict=True):
             axes.set_ylabel(title)
         looks = [style.method(method) for method in _METHODS]
         handles = [
-            Line2D([], [], ls="none", marker=m.marker, color=m.color, ms=7, mec="white", label=text)
-            for m, text in zip(looks, ("SILEM", "SILEM⁻"), strict=True)
+            style.handle(m.color, _label(m.label), ls="none", marker=m.marker, ms=7, mec="white")
+            for m in looks
         ]
-        handles.append(Line2D([], [], color=style.MUTED, lw=1.4, label="the demonstrator itself"))
+        handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
         figure.legend(handles=handles, loc="outside upper left", ncols=3)
         note = "below: the demonstrator's mean pitch, and how many of its joints are at a limit"
         sources.footer(figure, frame, note)
@@ -228,17 +227,6 @@ def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity:
                 [x + offset] * len(values), values, look.marker, color=look.color, ms=7,
                 mec="white", zorder=3,
             )  # fmt: skip
-
-
-def decided(frame: pd.DataFrame, shown: dict[str, ExpertGait | None]) -> str:
-    """Say of each body what moved the scores: who demonstrated, or the transform.
-
-    An analysis of variance without replication: demonstrators are rows, methods columns, and what
-    neither explains is the error that both are tested against (F tests at 5 %).
-    """
-    return "\n".join(
-        f"- **{body}**: {_told(frame, body, len(shown))}" for body in results.body_names(frame)
-    )
 
 
 class Effects(NamedTuple):
@@ -267,56 +255,60 @@ def effects(values: np.ndarray) -> Effects:
     )  # fmt: skip
 
 
-def _told(frame: pd.DataFrame, body: str, n_demonstrators: int) -> str:
-    here, score = frame[frame["body"] == body], _score_column(frame)
-    digits = 2 if score == "normalised" else 0
-    by_method = here.pivot_table(score, "demonstrations", "method").reindex(columns=list(_METHODS))
-    both = by_method.dropna()
-    if len(both) < 2:
-        return (
-            f"not to be told yet; {len(both)} of {n_demonstrators} demonstrators have both scores."
-        )
-    means, found = both.mean(axis=1), effects(both.to_numpy())
-    worst, best = means.idxmin(), means.idxmax()
+def decided(frame: pd.DataFrame, shown: Shown) -> str:
+    """Say of each body what moved the scores: who demonstrated, or the transform.
+
+    An analysis of variance without replication: demonstrators are rows, methods columns, and what
+    neither explains is the error that both are tested against (F tests at 5 %).
+    """
+    score = _score_column(frame)
+    lines = []
+    for body in results.body_names(frame):
+        here = frame[frame["body"] == body]
+        by_method = here.pivot_table(score, "demonstrations", "method")
+        both = by_method.reindex(columns=list(_METHODS)).dropna()
+        told = _told(both, 2 if score == "normalised" else 0) if len(both) > 1 else ""
+        known = f"{len(both)} of {len(shown)} demonstrators have both scores."
+        lines.append(f"- **{body}**: {known + told if told else f'not to be told yet; {known}'}")
+    return "\n".join(lines)
+
+
+def _told(both: pd.DataFrame, digits: int) -> str:
+    """Say what moved the scores of a body's imitators, demonstrators by methods."""
+    means, found, number = both.mean(axis=1), effects(both.to_numpy()), tables.number
     gain = float((both["silem"] - both["silem-minus"]).mean())
-    number = tables.number
-    return (
-        f"{len(both)} of {n_demonstrators} demonstrators have both scores. Between them the"
-        f" score goes from {number(means.min(), digits)} (trial {_trial(worst)}) to"
-        f" {number(means.max(), digits)} (trial {_trial(best)}); the transform changes it by"
-        f" {number(gain, digits)} on average. {number(100 * found.rows_share)} % of the variance"
-        f" goes with the demonstrator (p = {found.rows_p:.2g}),"
-        f" {number(100 * found.columns_share)} % with the transform (p = {found.columns_p:.2g}),"
-        f" the rest with chance and how the two meet. {_verdict(found)}"
-    )
-
-
-def _verdict(found: Effects) -> str:
-    return {
+    verdict = {
         (True, True): "Both the teacher and the transform matter.",
         (True, False): "The teacher decided, not the transform.",
         (False, True): "The transform decided, not the teacher.",
         (False, False): "Neither can be told from chance with these runs.",
     }[found.rows_p < _CHANCE, found.columns_p < _CHANCE]
+    return (
+        f" Between them the score goes from"
+        f" {number(means.min(), digits)} (trial {_trial(str(means.idxmin()))}) to"
+        f" {number(means.max(), digits)} (trial {_trial(str(means.idxmax()))}); the transform"
+        f" changes it by {number(gain, digits)} on average."
+        f" {number(100 * found.rows_share)} % of the variance"
+        f" goes with the demonstrator (p = {found.rows_p:.2g}),"
+        f" {number(100 * found.columns_share)} % with the transform (p = {found.columns_p:.2g}),"
+        f" the rest with chance and how the two meet. {verdict}"
+    )
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     """Return the study's best and worst run, by what to call them; nothing without any score."""
     ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
-    named = {}
-    for word, run in zip(
-        ("best", "worst"), ordered.iloc[[-1, 0][: len(ordered)]].itertuples(), strict=False
-    ):
-        label = style.method(run.method).label.partition(" (")[0]
-        name = f"{word}: {run.body}, {label}, trial {_trial(run.demonstrations)}"
-        named[name] = results.find(run.run_id)
-    return named
+    ends = ordered.iloc[[-1, 0][: len(ordered)]]
+    return {
+        f"{word}: {run.body}, {_label(style.method(run.method).label)},"
+        f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
+        for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
+    }
 
 
 def film_extremes(frame: pd.DataFrame, duration_s: float) -> film.Clip | None:
     """Film the best and the worst run side by side; None where none can be filmed."""
-    found = extremes(frame)
-    return film.grid(film.of_runs(found, duration_s, _PICTURE)) if found else None
+    return _film(extremes(frame), duration_s)
 
 
 def _score_column(frame: pd.DataFrame) -> str:
@@ -329,12 +321,5 @@ def _trial(name: str) -> int | None:
     return expert_of(name)[1]
 
 
-def _pitch(found: ExpertGait | None) -> float:
-    return np.inf if found is None else found.gait.pitch_rad
-
-
-def _named(name: str, found: ExpertGait | None) -> str:
-    if found is None:
-        return f"trial {_trial(name)}\nno run"
-    pitch, joints = tables.number(found.gait.pitch_rad, 2), found.gait.joints_at_limit
-    return f"trial {_trial(name)}\n{pitch} rad\n{joints:.1f} joints"
+def _label(method: str) -> str:
+    return method.partition(" (")[0]

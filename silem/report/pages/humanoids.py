@@ -1,10 +1,11 @@
-"""The page of the humanoids: Figure 3a, limb distances, the reward's factors, falls."""
+"""The page of the humanoids: Figure 3a, measures and distances, the reward's factors, falls."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -12,17 +13,20 @@ from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 
 from silem import bodies, paper
-from silem.bodies import MujocoBody
+from silem.bodies import MujocoBody, describe
+from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs.mujoco import task as walking
 from silem.envs.mujoco.simulator import Simulation, body_of, start_state
 from silem.envs.mujoco.task import Reading
 from silem.motion.demonstrator import Motion
-from silem.motion.features import POINTS
+from silem.motion.features import POINTS, Landmarks
+from silem.motion.kinematics import SIDES
+from silem.motion.retargeting import Limbs
 from silem.report import film, stick_figure, style
-from silem.report.pages.demonstration import limb_distances_m
 from silem.report.stick_figure import MARGIN_M
 from silem.report.tables import DASH, number, styled
+from silem.study.evaluate import RandomPolicy, evaluate
 from silem.util import seeding
 from silem.util.errors import SilemError
 
@@ -39,10 +43,6 @@ def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
 
     Strokes on the floor are a metre apart along x, the way that he walks. Where nothing can be
     drawn offscreen, a body's panel says so.
-
-    Args:
-        motion: The demonstrator's motion.
-        names: The humanoids.
     """
     points = motion.points
     rows: list[Any] = [["walk"] * len(names), list(names)]
@@ -81,45 +81,167 @@ def _floor(axes: Axes, points: np.ndarray) -> None:
     axes.legend(handles=stick_figure.handles("side"), ncols=2, **look)
 
 
+# ---------------------------------------------------------------- measures
+
+_ALIKE = {  # joints of Humanoid and of Atlas that do the same
+    "hip, forward and back": ("right_hip_y", "r_leg_hpy"),
+    "hip, sideways": ("right_hip_x", "r_leg_hpx"),
+    "hip, turning": ("right_hip_z", "r_leg_hpz"),
+    "knee": ("right_knee", "r_leg_kny"),
+    "ankle, pitch": ("right_ankle_y", "r_leg_aky"),
+    "ankle, roll": ("right_ankle_x", "r_leg_akx"),
+    "waist, forward and back": ("abdomen_y", "back_bky"),
+    "waist, sideways": ("abdomen_x", "back_bkx"),
+    "waist, turning": ("abdomen_z", "back_bkz"),
+    "shoulder, first": ("right_shoulder1", "r_arm_shz"),
+    "shoulder, second": ("right_shoulder2", "r_arm_shx"),
+    "elbow, bending": ("right_elbow", "r_arm_elx"),
+}
+_GRAVITY_M_S2 = 9.81
+_TRUNK = ("pelvis", "ltorso", "mtorso", "utorso")  # of Atlas, from below
+
+
+def posed(
+    body: MujocoBody, qpos: Sequence[float] | None = None
+) -> tuple[mujoco.MjData, np.ndarray]:
+    """Put a humanoid into a pose, all joints at zero for None; return data and landmarks (P, 3)."""
+    model = mujoco.MjModel.from_xml_string(body.model_xml())
+    data = mujoco.MjData(model)
+    if qpos is not None:
+        data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    return data, Landmarks(model, body.skeleton).points(data)
+
+
+def standing_head_m(body: MujocoBody) -> float:
+    """Return the height of a humanoid's head in its standing pose."""
+    return float(posed(body, body.standing_pose)[1][POINTS.index("head"), 2])
+
+
+def overview(names: Sequence[str]) -> pd.DataFrame:
+    """Return what humanoids measure, a row each: mass in kg, lengths and heights in m."""
+    rows = {}
+    for body in map(body_of, names):
+        lengths = Limbs.of(posed(body)[1])
+        rows[body.name] = {
+            "mass (kg)": describe(body.name)["total_mass_kg"],
+            "head (m)": standing_head_m(body),
+            "leg (m)": lengths.leg,
+            "left arm (m)": lengths.left_arm,
+            "right arm (m)": lengths.right_arm,
+            "hips to torso (m)": lengths.spine,
+            "motors": body.action_size,
+        }
+    return pd.DataFrame(rows).T.astype({"motors": int}).rename_axis("body")
+
+
+def arms(first: str, second: str) -> pd.DataFrame:
+    """Compare two humanoids' links that differ in mass: their masses in kg, a row per link."""
+    masses = pd.DataFrame({name: describe(name)["masses_kg"] for name in (first, second)})
+    return masses[masses[first] != masses[second]].rename_axis("mass (kg)")
+
+
+def strength() -> pd.DataFrame:
+    """Compare the motors of Humanoid and Atlas, joint by joint.
+
+    Returns:
+        Torque at action 1 in N m, then the same over the body's weight times the length of its
+        leg, in per cent.
+    """
+    table = pd.DataFrame(index=pd.Index(_ALIKE, name="joint"))
+    shares = {}
+    for name, joints in zip(("Humanoid", "Atlas"), zip(*_ALIKE.values(), strict=True), strict=True):
+        facts = describe(name)
+        torques = np.array([facts["actuators"][joint] for joint in joints])
+        leg_m = Limbs.of(posed(body_of(name))[1]).leg
+        table[f"{name} (N m)"] = torques.round().astype(int)
+        shares[f"{name} (%)"] = 100 * torques / (facts["total_mass_kg"] * _GRAVITY_M_S2 * leg_m)
+    return table.assign(**shares)
+
+
+def heights(names: Sequence[str]) -> pd.DataFrame:
+    """Return the heights of the head in m that the walking task goes by, a row per body."""
+    rows = {
+        body.name: {
+            "standing pose": standing_head_m(body),
+            "counts as standing from": body.standing_head_m,
+            "episode ends below": body.fall_head_m,
+        }
+        for body in map(body_of, names)
+    }
+    return pd.DataFrame(rows).T.rename_axis("height of the head (m)")
+
+
 # ---------------------------------------------------------------- limb distances
 
 DEMONSTRATOR = "demonstrator"
 _PRINTED = (DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's order
+_LIMBS = {"feet": "foot", "hand": "hand"}  # the paper's numbers, and what they are of
 _EQUAL_M = 0.005  # left and right are written as one number where they differ by less
 
 
-def limb_distances() -> dict[str, dict[str, float]]:
-    """Return how far hands and feet of the demonstrator and the humanoids are from the torso.
+def limb_distances_m(body: MujocoBody, qpos: Sequence[float] | None = None) -> dict[str, float]:
+    """Return how far hands and feet are from the torso in m by name; None: all joints at zero."""
+    _, points = posed(body, qpos)
+    distances = np.linalg.norm(points - points[POINTS.index("torso")], axis=1)
+    limbs = [f"{side}_{limb}" for limb in _LIMBS.values() for side in SIDES]
+    return {limb: float(distances[POINTS.index(limb)]) for limb in limbs}
 
-    Returns:
-        Name of the body -> name of the limb, ``left_hand`` for instance -> distance in m, all
-        joints at zero.
-    """
+
+def limb_distances() -> dict[str, dict[str, float]]:
+    """Return `limb_distances_m` of the demonstrator and the humanoids, all joints at zero."""
     found = {DEMONSTRATOR: limb_distances_m(film.man())}
     return found | {n: limb_distances_m(body_of(n)) for n in bodies.names("humanoid")}
 
 
 def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
-    """Return a table of limb distances: the paper's, ours, and the difference.
-
-    Args:
-        found: What `limb_distances` returned.
-    """
+    """Return a table of `limb_distances`: the paper's, ours, and the difference."""
     rows = []
     for body, limbs in found.items():
         row = {("", "body"): body}
-        for part, limb in (("feet", "foot"), ("hand", "hand")):
-            left, right = (limbs[f"{side}_{limb}"] for side in ("left", "right"))
+        for part, limb in _LIMBS.items():
+            left, right = (limbs[f"{side}_{limb}"] for side in SIDES)
             mean, equal = (left + right) / 2, abs(left - right) < _EQUAL_M
             both = f"{number(left, 2)} left, {number(right, 2)} right"
-            printed = dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True)).get(body)
-            heading = f"{limb.replace('foot', 'feet').replace('hand', 'hands')} from the torso (m)"
+            printed = _printed_m(part).get(body)
+            heading = f"{'feet' if part == 'feet' else 'hands'} from the torso (m)"
             row[heading, "paper"] = number(printed, 2)
             row[heading, "ours"] = number(mean, 2) if equal else both
             row[heading, "difference"] = DASH if printed is None else _signed(mean - printed)
         rows.append(row)
     columns = pd.MultiIndex.from_tuples(list(rows[0]))
     return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
+
+
+def gaps() -> dict[str, float]:
+    """Return by how much learners' limb distances differ from the demonstrator's, in m.
+
+    Returns:
+        ``paper_feet_Humanoid``, ``our_hand_Atlas`` and so on, by the paper's numbers and by ours.
+    """
+    found, differences = limb_distances(), {}
+    for part, limb in _LIMBS.items():
+        ours = {n: (d[f"left_{limb}"] + d[f"right_{limb}"]) / 2 for n, d in found.items()}
+        for whose, distances in (("paper", _printed_m(part)), ("our", ours)):
+            for name in _PRINTED[1:]:
+                gap = abs(distances[name] - distances[DEMONSTRATOR])
+                differences[f"{whose}_{part}_{name}"] = gap
+    return differences
+
+
+def trunk_distances() -> pd.DataFrame:
+    """Return how far Atlas's feet and hands are from each part of its trunk, joints at zero, m."""
+    body = body_of("Atlas")
+    data, _ = posed(body)
+    trunk = np.array([data.body(part).xpos for part in _TRUNK])
+    ends = {"feet (m)": body.skeleton.left_foot, "hands (m)": body.skeleton.left_hand}
+    distances = {e: np.linalg.norm(trunk - data.body(b).xpos, axis=1) for e, b in ends.items()}
+    return pd.DataFrame(distances, index=pd.Index(_TRUNK, name="from"))
+
+
+def _printed_m(part: str) -> dict[str, float]:
+    """Return the paper's distances of feet or hands by body, in m."""
+    return dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True))
 
 
 def _signed(value: float) -> str:
@@ -180,18 +302,12 @@ def _rewards(
 def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) -> film.Clip:
     """Film humanoids that start as in an episode and have no policy, side by side, in real time.
 
-    Unlike an episode, the film goes on when they have fallen.
-
-    Args:
-        names: The humanoids.
-        torque: Every motor gets a random share of its greatest torque, uniformly from -torque to
-            torque and anew at every control step; 0 leaves all joints limp.
-        duration_s: Simulated time, seconds.
-        seed: Seed of start states and torques.
+    Unlike an episode, the film goes on when they have fallen. Every motor gets a random share of
+    its greatest torque, uniformly from -torque to torque, anew at every control step.
 
     Raises:
-        SilemError: A body is no humanoid, the duration is not positive, the torque is not from 0
-            to 1, or nothing can be drawn offscreen here.
+        SilemError: The duration is not positive, the torque is not from 0 (all joints limp) to 1,
+            or nothing can be drawn offscreen here.
     """
     if not (duration_s > 0 and 0 <= torque <= 1):
         raise SilemError(
@@ -210,3 +326,15 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
             body, np.stack(states), 1 / body.control_step_s, size=film.PANEL
         )
     return film.grid(clips)
+
+
+def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
+    """Return how long humanoids stand without a policy, and what it earns: means over episodes."""
+    rows: dict[str, dict[str, float]] = {}
+    for body in map(body_of, names):
+        row = rows.setdefault(body.name, {})
+        for label, std in (("no torques", 0.0), ("random torques", 1.0)):
+            found = evaluate(RandomPolicy(body, std=std), body.name, n_episodes, seed)
+            row[f"{label}: seconds"] = (found.upright or 0.0) * MAX_STEPS * body.control_step_s
+            row[f"{label}: return"] = found.return_mean
+    return pd.DataFrame(rows).T.rename_axis("body")

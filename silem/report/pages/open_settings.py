@@ -14,12 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from pandas.io.formats.style import Styler
 
 from silem import bodies
 from silem.report import results, style, tables
-from silem.report.figures import sources
 from silem.study.config import RunConfig
 from silem.study.record import TRANSFORM
 from silem.study.settings import BUDGETS, HyperParameters
@@ -62,82 +60,43 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
     Columns are ``method``, ``setting`` (in words), ``in_use`` (it is what the study has now), a
     body's mean score each, ``score`` (their mean, NaN while a body's run is missing) and ``near``
     (within `NEAR_BEST` of the method's best).
-
-    Args:
-        frame: Runs of the study "open-settings" at one budget.
     """
     study, budget = results.context(frame)
     score = frame.set_index("run_id")["normalised"]
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for cell in cells(study):
         configs = [cell.config(budget, seed) for seed in seeds_of(study, BUDGETS[budget])]
-        key = cell.method, _in_words(cell.overrides)
         usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
-        row = rows.setdefault(key, {"in_use": configs[0].hyper == usual})
+        setting = ", ".join(f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in cell.overrides)
+        about = {"method": cell.method, "setting": setting, "in_use": configs[0].hyper == usual}
+        row = rows.setdefault((cell.method, setting), about)
         row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
-    table = pd.DataFrame(
-        [dict(zip(("method", "setting"), key, strict=True)) | row for key, row in rows.items()]
-    )
-    names = results.body_names(frame)
-    table["score"] = table[names].mean(axis=1, skipna=False)
+    table = pd.DataFrame(rows.values())
+    table["score"] = table[results.body_names(frame)].mean(axis=1, skipna=False)
     best = table.groupby("method")["score"].transform("max")
     return table.assign(near=table["score"] >= best - NEAR_BEST * best.abs())
 
 
-def _in_words(overrides: Sequence[tuple[str, Any]]) -> str:
-    return ", ".join(
-        f"{_NAMES.get(name, name)} {_written(name, value)}" for name, value in overrides
-    )
-
-
-def found(frame: pd.DataFrame) -> Figure:
-    """Draw the score of every setting on each body, and their mean, by which it is judged.
+def found(frame: pd.DataFrame) -> Styler:
+    """Return the score of every setting on each body, and their mean, by which it is judged.
 
     The best of a method is bold, with those within `NEAR_BEST` of it; an arrow marks what the study
     has now. A setting without runs is there all the same.
-
-    Args:
-        frame: Runs of the study "open-settings" at one budget.
     """
-    table, names = settings(frame), results.body_names(frame)
-    methods = list(dict.fromkeys(table["method"]))
-    counts = [int((table["method"] == method).sum()) for method in methods]
-    with style.applied():
-        figure, grid = style.new_figure(
-            0.24 * sum(counts) + 0.45 * len(methods) + 1.1, nrows=len(methods), sharex=True,
-            squeeze=False, gridspec_kw={"height_ratios": counts},
-        )  # fmt: skip
-        for axes, method in zip(grid[:, 0], methods, strict=True):
-            shown = table[table["method"] == method].reset_index(drop=True)
-            for index, body in enumerate(names):
-                color = style.body_color(index, len(names))
-                axes.plot(shown[body], shown.index, "os"[index % 2], ms=5, color=color, alpha=0.8)
-            axes.plot(shown["score"], shown.index, "|", ms=13, mew=2.4, color=style.INK)
-            for row in shown[shown[names].isna().all(axis=1)].index:
-                axes.text(
-                    0.02, row, "no run", transform=axes.get_yaxis_transform(), va="center",
-                    fontsize=8, color=style.MUTED,
-                )  # fmt: skip
-            arrows = shown["in_use"].map({True: "→ ", False: ""})
-            labels = (arrows + shown["setting"]).tolist()
-            axes.set_yticks(shown.index, labels)
-            for label, near in zip(axes.get_yticklabels(), shown["near"], strict=True):
-                label.set_fontweight("bold" if near else "normal")
-            axes.set(title=style.method(method).label, ylim=(len(shown) - 0.4, -0.6))
-            axes.grid(axis="x")
-            axes.update_datalim([(0, 0), (1, 0)])
-            axes.autoscale_view(scaley=False)
-        axes.set_xlabel("score (1: the mean of the body's own PPO experts)")
-        looks: list[dict[str, Any]] = [
-            {"marker": "os"[i % 2], "color": style.body_color(i, len(names)), "label": name}
-            for i, name in enumerate(names)
-        ]
-        looks.append({"marker": "|", "ms": 13, "mew": 2.4, "color": style.INK, "label": "mean"})
-        handles = [Line2D([], [], ls="none", **look) for look in looks]
-        figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
-        near = f"{100 * NEAR_BEST:g} %"
-        sources.footer(figure, frame, f"bold: best, or within {near} of it; →: in the study now")
-    return figure
+    rows = []
+    for run in settings(frame).to_dict("records"):
+        mean = tables.number(run["score"], 2)
+        rows.append(
+            {
+                "method": _label(results.body_names(frame)[0], run["method"]),
+                "setting": ("→ " if run["in_use"] else "") + run["setting"],
+                **{body: tables.number(run[body], 2) for body in results.body_names(frame)},
+                "mean": f"<strong>{mean}</strong>" if run["near"] else mean,
+            }
+        )
+    near = "Scores (1: the mean of the body's own PPO experts); bold: best, or within"
+    caption = f"{near} {100 * NEAR_BEST:g} % of it; →: in the study now; –: no run"
+    return tables.styled(pd.DataFrame(rows), caption)
 
 
 def says(frame: pd.DataFrame) -> str:
@@ -167,13 +126,10 @@ def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
 
 
 def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return how far the transforms of some runs went, a row each.
+    """Return how far the affine transforms of some tables' runs went, a row each.
 
     Columns are ``run_id``, ``body``, ``allowed`` (`travel_allowed`), ``A`` and ``b``: the largest
     distances of an entry of A from 1 and of b from 0.
-
-    Args:
-        frames: Tables of runs; those without an affine transform are passed over.
     """
     rows = []
     for run_id in pd.concat([frame["run_id"] for frame in frames]).unique():
@@ -198,45 +154,21 @@ def travel_says(table: pd.DataFrame) -> str:
     )
 
 
-def draw_travel(table: pd.DataFrame) -> Figure:
-    """Draw the largest entry of A - 1 and of b of each run against what T's rate allows."""
-    names = [name for name in bodies.names() if name in set(table["body"])]
-    with style.applied():
-        figure, panels = style.new_figure(3.3, ncols=2, sharex=True, sharey=True)
-        values = table[["allowed", "A", "b"]].to_numpy(dtype=float)
-        values = values[values > 0]
-        low = 10 ** np.floor(np.log10(values.min(initial=0.5)))
-        high = 10 ** np.ceil(np.log10(values.max(initial=0.5)))
-        for axes, entry, title in zip(
-            panels, ("A", "b"), ("largest |A − 1|", "largest |b|"), strict=True
-        ):
-            axes.plot([low, high], [low, high], color=style.MUTED, lw=1, ls=(0, (4, 3)))
-            for index, body in enumerate(names):
-                runs = table[table["body"] == body]
-                axes.plot(
-                    runs["allowed"], runs[entry], "os^"[index % 3], ms=5, mec="white", mew=0.5,
-                    color=style.body_color(index, len(names)),
-                    label=f"{body}, {len(runs)} run{'s' if len(runs) > 1 else ''}",
-                )  # fmt: skip
-            axes.set(xscale="log", yscale="log", title=title, xlabel="rate of T × its steps")
-            axes.set(xlim=(low / 1.2, high * 1.2), ylim=(low / 1.2, high * 1.2))
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_formatter("{x:g}")
-                axis.set_minor_formatter(NullFormatter())
-            axes.grid(axis="x")
-        if names:
-            handles, labels = panels[0].get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside upper left", ncols=4)
-        style.footer(figure, f"{len(table)} runs with an affine transform; dashed: equal")
-    return figure
+def travel_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, medians and largest of the transforms' travel for each body and bound."""
+    rows = []
+    for (body, allowed), runs in table.groupby(["body", "allowed"]):
+        row = {"body": body, "runs": str(len(runs)), "rate of T × its steps": f"{allowed:.3g}"}
+        for entry, title in (("A", "largest |A − 1|"), ("b", "largest |b|")):
+            row[title] = f"{runs[entry].median():.2g}, at most {runs[entry].max():.2g}"
+        rows.append(row)
+    return pd.DataFrame(rows or [{"body": tables.DASH, "runs": "no run"}])
 
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
     """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text.
 
-    Args:
-        penalised: Runs of the study "halfcheetah" (`results.load_records`).
-        unpenalised: Runs of the study "no-gradient-penalty" at the same budget.
+    The runs are those of the studies "halfcheetah" and "no-gradient-penalty" at one budget.
     """
     rows = []
     for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
@@ -255,11 +187,7 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
 
 
 def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
-    """Return the exploratory runs of ``data/search``, one row each, with their curve.
-
-    Args:
-        family: "halfcheetah" or "humanoids".
-        method: Keep this method's runs alone.
+    """Return a family's exploratory runs of ``data/search``, of one method or of all.
 
     Raises:
         SilemError: The family is unknown, the file is missing, or an entry lacks something.
@@ -304,11 +232,8 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     varied = [name for name in _NAMES if name in frame and frame[name].nunique() > 1]
     rows = []
     for run in ordered.to_dict("records"):
-        row = {
-            "run": run["name"],
-            "body": run["body"],
-            "method": _label(run["body"], run["method"]),
-        }
+        told = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        row = {"run": run["name"]} | {n: v for n, v in told.items() if frame[n].nunique() > 1}
         row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in _QUANTITIES.items():

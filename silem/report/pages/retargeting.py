@@ -51,27 +51,17 @@ _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 
 
 def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> film.Clip:
-    """Film the demonstrator and his motion on other bodies, side by side and in real time.
+    """Film the start of the demonstrator's motion, and it on other bodies, side by side.
 
     No physics acts: each body is put into one pose after the other.
-
-    Args:
-        human: The demonstrator's motion.
-        results: The same motion on some bodies, a panel each.
-        duration_s: How much of it to film, from its beginning; the whole motion if that is shorter.
-
-    Raises:
-        SilemError: The duration is not positive, or nothing can be drawn offscreen here.
     """
     walks = {"the man": (film.man(), human.qpos)}
     walks |= {result.body: (learner(result.body), result.qpos) for result in results}
-    return film.grid(
-        {
-            name: film.motion(body, qpos, human.rate_hz, duration_s, film.PANEL)
-            for name, (body, qpos) in walks.items()
-        },
-        n_columns=len(walks),
-    )
+    clips = {
+        name: film.motion(body, qpos, human.rate_hz, duration_s, film.PANEL)
+        for name, (body, qpos) in walks.items()
+    }
+    return film.grid(clips, n_columns=len(clips))
 
 
 # ---------------------------------------------------------------- figures
@@ -217,30 +207,20 @@ def _hand(human: Motion, result: IKResult, side: str) -> dict[str, str | float]:
 
 
 def foot_skates(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
-    """Return mean and largest speed in m/s of each ankle while the man's feet stand, his own first.
-
-    Returns:
-        One row per body.
-    """
+    """Return mean and largest speed of each ankle while the man's feet stand, his own first."""
     skates = {"the man": _own_skate(human)}
     skates |= {result.body: result.foot_skate_m_s for result in results}
-    rows = {
-        name: {
-            f"{side} {what} (m/s)": of(speeds)
-            for side, speeds in zip(SIDES, skate.T, strict=True)
-            for what, of in (("mean", np.nanmean), ("largest", np.nanmax))
-        }
-        for name, skate in skates.items()
-    }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("body")
+    table = pd.concat({n: pd.DataFrame(s, columns=list(SIDES)) for n, s in skates.items()})
+    found = table.groupby(level=0, sort=False).agg(["mean", "max"]).rename_axis("body")
+    what = {"mean": "mean", "max": "largest"}
+    found.columns = pd.Index([f"{side} {what[of]} (m/s)" for side, of in found.columns])
+    return found
 
 
 def starts(results: Sequence[IKResult]) -> pd.DataFrame:
-    """Return what a SILEM run's body changes in the retargeted states to start episodes from them.
+    """Return what a SILEM run's body changes in the retargeted states to start from them.
 
-    Returns:
-        One row per body: how many states there are, in how many a joint had to be put to its
-        limit, how far at most, and by how much the body was then lifted at most.
+    That is in how many of them a joint is put to its limit, how far, and the lift, at most.
     """
     rows = []
     for result in results:

@@ -6,11 +6,10 @@ Everywhere `frame` holds the runs of one study at one budget, from `results.load
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import chain, zip_longest
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -102,12 +101,7 @@ _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of th
 
 
 def gait(survived: float, speed_m_s: float) -> str:
-    """Name what a policy does; who stays up and keeps his speed is named by the claims' bounds.
-
-    Args:
-        survived: Share of an episode's steps before the fall.
-        speed_m_s: Mean forward speed.
-    """
+    """Name what a policy does by its share of steps survived and its speed, as the claims do."""
     share = speed_m_s / DEMONSTRATOR_SPEED_M_S
     if survived < 1 - MARGIN:
         return FALLS
@@ -117,10 +111,8 @@ def gait(survived: float, speed_m_s: float) -> str:
 def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     """Return one row for each method and number of iterations on a body: means over trials.
 
-    Returns:
-        ``body``, ``method``, ``n_iterations``, ``stand_in``, ``trials``, ``survived`` (share of an
-        episode's steps), ``survived_s``, ``speed_m_s``, ``speed_share`` (of the demonstrator's),
-        ``gait``; without the random policy.
+    ``survived`` is the share of an episode's steps, ``speed_share`` that of the demonstrator's
+    speed; the random policy is left out.
     """
     orders = {"body": results.body_names(frame), "method": list(style.METHODS)}
     ordered = {name: pd.Categorical(frame[name], order) for name, order in orders.items()}
@@ -130,21 +122,17 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
         trials=("run_id", "size"), survived=("upright", "mean"), speed_m_s=("speed_m_s", "mean")
     )
     found = found.astype({"body": str, "method": str})
-    found["survived_s"] = found["survived"] * [_episode_s(body) for body in found["body"]]
+    step_s = {name: bodies.of_kind(name, MujocoBody).control_step_s for name in orders["body"]}
+    found["survived_s"] = found["survived"] * MAX_STEPS * found["body"].map(step_s)
     found["speed_share"] = found["speed_m_s"] / DEMONSTRATOR_SPEED_M_S
     found["gait"] = [gait(row.survived, row.speed_m_s) for row in found.itertuples()]
     return found
 
 
-def _episode_s(body: str) -> float:
-    return MAX_STEPS * bodies.of_kind(body, MujocoBody).control_step_s
-
-
 def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return, as text, how the policies of some tables of runs move, a row per cell.
 
-    Args:
-        groups: Tables of runs by what to call them; of a single one the name is left out.
+    Tables go by what to call them; of a single one the name is left out.
     """
     rows = [
         {
@@ -184,7 +172,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     """Return what the page says about a study: numbers and texts by name."""
     found = gaits(frame)
     counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
-    rising = [rise > 0 for rise in _rises(frame)]
+    rising = _rises(frame)
     said: dict[str, str | float] = {"n_cells": len(found)}
     said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": tables.DASH}
     said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
@@ -212,10 +200,9 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
 
 
 def early_sentences(frame: pd.DataFrame, method: str, body: str) -> dict[str, float]:
-    """Return how long a cell's longest run stayed up when it was as short as the stand-ins are.
+    """Return how long a cell's longest run stayed up when it was as short as most stand-ins are.
 
-    ``short_iterations`` is the commonest number of iterations of the stand-ins, ``early_steps`` the
-    longest run's steps before a fall up to there, ``late_steps`` up to its end; NaN for unknown.
+    These are ``short_iterations``, ``early_steps`` up to there, ``late_steps`` up to its end.
     """
     said = dict.fromkeys(("short_iterations", "early_steps", "late_steps"), math.nan)
     lengths = frame.loc[frame["stand_in"], "n_iterations"]
@@ -258,13 +245,15 @@ def _just_before(curve: pd.DataFrame, share: float) -> pd.Series:
     return curve[curve["iteration"].between((share - _SPAN) * total, share * total)].mean()
 
 
-def _rises(frame: pd.DataFrame) -> Iterator[float]:
-    """Yield by how much each run's return rose: the last tenth of its curve over the one before."""
+def _rises(frame: pd.DataFrame) -> list[bool]:
+    """Tell of each run whether its return rose: the last tenth of its curve over the one before."""
+    rises = []
     for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
         values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
         n = max(1, round(_TAIL * len(values)))
         if len(values) >= 2 * n:
-            yield float(np.mean(values[-n:]) - np.mean(values[-2 * n : -n]))
+            rises.append(bool(values[-n:].mean() > values[-2 * n : -n].mean()))
+    return rises
 
 
 def _whole(value: float) -> float:
@@ -276,32 +265,7 @@ def _whole(value: float) -> float:
 FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
 """The methods that are filmed, in their order on the page."""
 
-_SIZE = 320, 300  # pixels of one clip
-
-
-def show(frame: pd.DataFrame, body: str, duration_s: float) -> None:
-    """Film the best trial of every method on a body, and play the clips as one grid.
-
-    Each starts from the same seed, stands still on its last picture once the body has fallen, and
-    says when that was. What cannot be filmed is named instead.
-    """
-    if why := film.why_no_pictures(body):
-        notebook.note(f"No videos of {body}: {why}")
-        return
-    chosen, absent = {}, []
-    for method in FILMED:
-        label, run = style.method(method, "").label.partition(",")[0], best(frame, method, body)
-        if run is None:
-            absent.append(label)
-        else:
-            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
-            chosen[label] = results.find(run["run_id"])
-    if chosen:
-        clips = film.of_runs(chosen, duration_s, _SIZE)
-        text = f"{body}, best trials, in real time: {' | '.join(clips)}"
-        notebook.play(film.grid(clips), text)
-    if absent:
-        notebook.note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+_SIZE = 320, 300  # pixels of a picture in the strip
 
 
 def show_strip(run_id: str, duration_s: float) -> None:
@@ -313,14 +277,3 @@ def show_strip(run_id: str, duration_s: float) -> None:
     else:
         (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
         notebook.show_picture(film.strip(clip, n_frames=6))
-
-
-def best(frame: pd.DataFrame, method: str, body: str) -> pd.Series | None:
-    """Return a cell's run of the highest return, None without any.
-
-    A run of another number of iterations than planned only counts where there is no planned one.
-    """
-    for runs in (results.cell(frame, method, body), results.stand_ins(frame, method, body)):
-        if len(runs):
-            return runs.loc[runs["return_mean"].idxmax()]
-    return None
