@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
-from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
+from silem.bodies.body import (
+    AliveRule,
+    BulletBody,
+    Engine,
+    Motor,
+    Part,
+    View,
+    numbers,
+    pybullet_model,
+    set_attribute,
+)
 
 FAMILY = "ant"
 ENGINE: Engine = "bullet"
@@ -23,14 +32,14 @@ def model(offset: float) -> str:
     In the model that link is the geom `aux_i_geom`, and the body `aux_i` hangs on its end; an
     offset of 0.2 is PyBullet's own file, byte for byte.
     """
-    xml = mjcf.source("ant.xml")
+    xml = pybullet_model("ant.xml")
     if offset == LINK_OFFSETS["Ant0"]:
         return xml
     for leg, (x, y) in _LEG_SIGNS.items():
         end = (x * offset, y * offset, 0)
-        span = mjcf.numbers(0, 0, 0, *end)
-        xml = mjcf.set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", span)
-        xml = mjcf.set_attribute(xml, "body", f"aux_{leg}", "pos", mjcf.numbers(*end))
+        span = numbers(0, 0, 0, *end)
+        xml = set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", span)
+        xml = set_attribute(xml, "body", f"aux_{leg}", "pos", numbers(*end))
     return xml
 
 

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
-from silem.bodies import mjcf
-from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View
+from silem.bodies.body import (
+    AliveRule,
+    BulletBody,
+    Engine,
+    Motor,
+    Part,
+    View,
+    numbers,
+    pybullet_model,
+    set_attribute,
+)
 
 FAMILY = "halfcheetah"
 ENGINE: Engine = "bullet"
@@ -31,16 +40,16 @@ def model(torso_length_m: float) -> str:
     The torso's capsule is stretched; the head and both thighs keep hanging on its ends. Length 1
     is PyBullet's own file, byte for byte.
     """
-    xml = mjcf.source("half_cheetah.xml")
+    xml = pybullet_model("half_cheetah.xml")
     if torso_length_m == TORSO_LENGTHS_M["HC0"]:
         return xml
     half = torso_length_m / 2
-    span = mjcf.numbers(-half, 0, 0, half, 0, 0)
-    head = mjcf.numbers(half + _HEAD_OVERHANG_M, 0, 0.1)
-    xml = mjcf.set_attribute(xml, "geom", "torso", "fromto", span)
-    xml = mjcf.set_attribute(xml, "geom", "head", "pos", head)
-    xml = mjcf.set_attribute(xml, "body", "bthigh", "pos", mjcf.numbers(-half, 0, 0))
-    return mjcf.set_attribute(xml, "body", "fthigh", "pos", mjcf.numbers(half, 0, 0))
+    span = numbers(-half, 0, 0, half, 0, 0)
+    head = numbers(half + _HEAD_OVERHANG_M, 0, 0.1)
+    xml = set_attribute(xml, "geom", "torso", "fromto", span)
+    xml = set_attribute(xml, "geom", "head", "pos", head)
+    xml = set_attribute(xml, "body", "bthigh", "pos", numbers(-half, 0, 0))
+    return set_attribute(xml, "body", "fthigh", "pos", numbers(half, 0, 0))
 
 
 def body(name: str, torso_length_m: float) -> BulletBody:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View
-from silem.bodies.mjcf import numbers
+from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View, numbers
 from silem.util.errors import SilemError
 
 if TYPE_CHECKING:

@@ -16,10 +16,9 @@ import pandas as pd
 
 from silem import paper
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.report import results
-from silem.study import statistics
+from silem.report import results, statistics
+from silem.report.statistics import NO_INTERVAL, Interval
 from silem.study.settings import BUDGETS
-from silem.study.statistics import NO_INTERVAL, Interval
 from silem.util.errors import choose
 
 MIN_TRIALS, MARGIN, WALKING = 3, 0.1, 0.5

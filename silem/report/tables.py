@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from pandas.io.formats.style import Styler
 
 from silem import paper
-from silem.report import results, style
-from silem.study import statistics
+from silem.report import results, statistics, style
 from silem.util import files, paths
 
 DASH = "–"

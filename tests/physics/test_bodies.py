@@ -20,7 +20,8 @@ import pybullet_data
 import pytest
 
 from silem import bodies
-from silem.bodies import half_cheetah, measure, mjcf
+from silem.bodies import body as bodies_body
+from silem.bodies import half_cheetah, measure
 from silem.envs import make_vec
 from silem.envs.bullet.simulator import Simulator
 from silem.util.errors import SilemError
@@ -252,9 +253,9 @@ def test_a_variant_differs_in_its_parameter_alone():
 def test_edits_that_would_miss_are_refused():
     xml = bodies.get("HC0").model_xml()
     with pytest.raises(SilemError, match="0 elements <geom name='tail'>"):
-        mjcf.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
+        bodies_body.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
     with pytest.raises(SilemError, match="no attribute 'mass'"):
-        mjcf.set_attribute(xml, "geom", "torso", "mass", "1")
+        bodies_body.set_attribute(xml, "geom", "torso", "mass", "1")
 
 
 def test_a_full_temporary_folder_is_one_line(

@@ -16,9 +16,8 @@ from drawn import assert_readable, boxes, footer, lines_at, texts
 from matplotlib.axes import Axes
 from scipy import stats
 
-from silem.report import features, provenance, results, style, tables
+from silem.report import features, provenance, results, statistics, style, tables
 from silem.report.figures import affine, learning, sources, trials
-from silem.study import statistics
 from silem.study.config import RunConfig
 from silem.util.errors import SilemError
 

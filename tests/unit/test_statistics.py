@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from silem.study import statistics
+from silem.report import statistics
 
 
 def test_mean_interval_by_hand() -> None:

@@ -15,8 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
-from silem.report import results, style
-from silem.study import statistics
+from silem.report import results, statistics, style
 
 LEVEL_DASHES = (0, (4, 3))
 INTERVAL_TRIALS = 5
