@@ -3,16 +3,20 @@
 ``python -m benchmarks.kills --kills 100`` makes an expert, its demonstrations and an imitator from
 them, again and again, at a tiny budget whose runs are published as evidence. The process at work
 is killed at a random moment, or within a random write to the disk, and started again until it ends.
+With ``--campaign`` the process is a whole campaign of two workers, or a worker of it.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import multiprocessing
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -122,12 +126,85 @@ def one_round(
         kills[PHASES[phase.value]] += 1
 
 
+CAMPAIGN = ["campaign", "--study", "halfcheetah", "--body", "HC0", "--budget", "tiny", "--quiet"]
+
+
+def workers() -> list[int]:
+    """Return the processes of campaigns' workers that are at work in this data folder."""
+    wanted, found = f"SILEM_DATA_DIR={paths.data_dir()}".encode(), []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+            if b"--with-input" in words and wanted in (folder / "environ").read_bytes():
+                found.append(int(folder.name))
+        except OSError:  # ended meanwhile
+            continue
+    return found
+
+
+def campaign_round(
+    rng: np.random.Generator, longest_s: float, most: int
+) -> tuple[dict[str, Any], Counter[str]]:
+    """Kill a campaign, or workers of it, and go on until everything is made."""
+    kills: Counter[str] = Counter()
+    while True:
+        process = subprocess.Popen([sys.executable, "-m", "silem", *CAMPAIGN])
+        while kills.total() < most:
+            try:
+                process.wait(rng.uniform(0, longest_s))
+                break
+            except subprocess.TimeoutExpired:
+                at_work = workers()
+            if not at_work or rng.random() < 0.5:
+                process.kill()
+                kills["campaign"] += 1
+                break
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(rng.choice(at_work)), signal.SIGKILL)
+                kills["worker"] += 1
+        if process.wait() == 0:
+            return outcome(), kills
+        if process.returncode != -signal.SIGKILL:
+            raise SystemExit(f"the campaign failed with exit code {process.returncode}")
+        for _ in range(600):
+            if not workers():
+                break
+            time.sleep(0.1)
+        else:
+            raise SystemExit("workers go on a minute after their campaign was killed")
+
+
+def campaigns(n_kills: int, rng: np.random.Generator) -> None:
+    """Kill campaigns and their workers, round after round."""
+    kills, n_rounds = Counter[str](), 0
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["SILEM_DATA_DIR"] = folder
+        began = time.perf_counter()
+        reference, _ = campaign_round(rng, 0.0, 0)
+        longest_s = (time.perf_counter() - began) / 2
+        while kills.total() < n_kills:
+            shutil.rmtree(folder)
+            Path(folder).mkdir()
+            found, came = campaign_round(rng, longest_s, min(20, n_kills - kills.total()))
+            kills += came
+            n_rounds += 1
+            names = [k for k in reference | found if reference.get(k) != found.get(k)]
+            if names := [name for name in names if not name.endswith(("log.txt", ".lock"))]:
+                raise SystemExit(f"after {dict(came)} these differ: {', '.join(names)}")
+            print(f"{kills.total()} kills, {n_rounds} rounds", flush=True)
+    print(f"{dict(kills)} in {n_rounds} rounds: same bits, nothing left over, nobody left alone")
+
+
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--kills", type=int, default=100, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    parser.add_argument("--campaign", action="store_true", help="kill campaigns and their workers")
     options = parser.parse_args()
+    if options.campaign:
+        campaigns(options.kills, np.random.default_rng(options.seed))
+        return
     BUDGETS["book"] = Budget("book", 2, 128, 6, 1, 2, 2)
     rng = np.random.default_rng(options.seed)
     kills: Counter[str] = Counter()

@@ -221,7 +221,8 @@ def play_trials(
             label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
             chosen[label] = results.find(run["run_id"])
     if chosen:
-        clips, which = films.of_runs(chosen, duration_s, _TRIAL), "best" if best else "first"
+        size, which = films.SIZE if len(chosen) < 3 else _TRIAL, "best" if best else "first"
+        clips = films.of_runs(chosen, duration_s, size)
         play(films.grid(clips), f"{body}, {which} trials, in real time: {' | '.join(clips)}")
     if absent:
         note(f"No finished run on {body} yet: {'; '.join(absent)}.")
