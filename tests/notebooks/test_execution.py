@@ -118,7 +118,7 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     assert f"trial {demonstrator}: of the 5 experts" in spoken["demonstrator_rule"]
     table = words(output(page, "gaits"))
     assert len(re.findall(r"\d (?:\(demonstrator\) )?[\d,]+ ± \d+", table)) == 5
-    assert f" {demonstrator} (demonstrator) " in f" {table}"
+    assert f" {demonstrator} (chosen) " in f" {table}"
 
 
 def find_demonstrator(frame: pd.DataFrame) -> int:

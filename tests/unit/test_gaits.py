@@ -96,7 +96,7 @@ def test_the_demonstrator_is_the_best_of_all_and_marked(data: Path) -> None:
     assert name == "HC0_s3"
     assert "trial 3: of the 5 experts it has the highest evaluation return" in why
     table = gaits.table(shown, name).data
-    assert list(table["trial"]) == ["0", "1", "2", "3 (demonstrator)", "4"]
+    assert list(table["trial"]) == ["0", "1", "2", "3 (chosen)", "4"]
     assert list(table["pitch (rad)"])[:2] == ["0.40 ± 0.07", "0.00 ± 0.07"]
     assert set(table["speed (m/s)"]) == {
         f"{synthetic_speed(2000):.2f}",

@@ -86,7 +86,7 @@ def table(shown: Shown, demonstrator_name: str) -> Styler:
     """
     rows, number = [], tables.number
     for name, found in shown.items():
-        mark = " (demonstrator)" if name == demonstrator_name else ""
+        mark = " (chosen)" if name == demonstrator_name else ""
         row = {"trial": f"{_trial(name)}{mark}", "return": "no run"}
         if found is not None:
             evaluation, g = found.record.evaluation, found.gait
