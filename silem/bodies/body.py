@@ -72,7 +72,7 @@ class View:
     span_m: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Body:
     """One entry of the registry: what every simulator's bodies have.
 
@@ -104,6 +104,9 @@ class Body:
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name}: {self.description}>"
+
     def variant(self, **parameters: float) -> Body:
         """Return this body with other values of some of its parameters.
 
@@ -126,7 +129,7 @@ class Body:
         return len(self.motors)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class BulletBody(Body):
     """A body of PyBullet's locomotion tasks.
 
@@ -200,7 +203,7 @@ class Skeleton:
         return tuple(entry.name for entry in fields(cls) if entry.name != "axes")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class MujocoBody(Body):
     """A humanoid in MuJoCo: a free root joint first, then hinges.
 
@@ -224,7 +227,7 @@ class MujocoBody(Body):
     target_speed_m_s: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class GymnasiumBody(Body):
     """Whatever a Gymnasium environment moves; its name is the environment's id."""
 

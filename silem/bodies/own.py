@@ -53,8 +53,12 @@ def identity(name: str) -> dict[str, str] | None:
     known, module = _OWN.get(name, (None, ""))
     if known is None or name not in bodies.names() or bodies.get(name) is not known:
         return None
-    body = dataclasses.replace(bodies.get(name), description="")
-    digest = hashlib.sha256(f"{body!r}\n{body.model_xml()}".encode()).hexdigest()
+    body = bodies.get(name)
+    told = {
+        field.name: getattr(body, field.name) for field in dataclasses.fields(body) if field.repr
+    }
+    del told["description"]
+    digest = hashlib.sha256(f"{told}\n{body.model_xml()}".encode()).hexdigest()
     return {"module": module, "sha256": digest}
 
 

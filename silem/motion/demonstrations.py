@@ -18,7 +18,7 @@ MANIFEST = "manifest.json"
 _OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of every file
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Demonstrations:
     """An expert's trajectories; no actions.
 
@@ -54,6 +54,13 @@ class Demonstrations:
                     f"extra array {name!r} has shape {array.shape}; allowed: {n_states} rows, and a"
                     f" name other than {', '.join(_OWN)}"
                 )
+
+    def __repr__(self) -> str:
+        n, n_states = len(self.features), sum(map(len, self.features))
+        of = f" of {self.body}" if self.body else ""
+        return (
+            f"<Demonstrations{of}: {n} trajectories, {n_states} states, {self.n_features} features>"
+        )
 
     @property
     def n_features(self) -> int:

@@ -39,7 +39,7 @@ MAX_ROWS = 200
 """Rows of a published curve."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunRecord:
     """A finished run, as ``record.json`` holds it.
 
@@ -70,6 +70,11 @@ class RunRecord:
     files: dict[str, str]
     folder: Path = dataclasses.field(compare=False)
     processor_time_s: float | None = None
+
+    def __repr__(self) -> str:
+        result = self.evaluation
+        told = f"return {result['return_mean']:.0f} over {result['n_episodes']} episodes"
+        return f"<RunRecord {self.run_id}: {told}>"
 
     @classmethod
     def load(cls, path: Path) -> RunRecord:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from silem import bodies
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.util import files
@@ -171,3 +172,10 @@ def test_the_clips_come_with_the_package_and_experts_do_not(
     assert demos.publish("cmu_08_01", mine).is_relative_to(tmp_path)  # and then goes before
     assert demos.load_published("cmu_08_01")[0].n_features == 2
     assert list(files.read_json(tmp_path / "demonstrations" / demos.MANIFEST)) == ["cmu_08_01"]
+
+
+def test_long_objects_say_what_they_are_in_one_short_line() -> None:
+    whole = Demonstrations.from_arrays([np.zeros((1001, 26), np.float32)] * 20)
+    assert repr(whole) == "<Demonstrations: 20 trajectories, 20020 states, 26 features>"
+    atlas = "<MujocoBody Atlas: Atlas v4 of Boston Dynamics, ankles within +-0.1 rad>"
+    assert repr(bodies.get("Atlas")) == atlas
