@@ -117,7 +117,7 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     demonstrator = find_demonstrator(frame)
     assert f"trial {demonstrator}: of the 5 experts" in spoken["demonstrator_rule"]
     table = words(output(page, "gaits"))
-    assert len(re.findall(r"\d (?:\(demonstrator\) )?[\d,]+ ± \d+", table)) == 5
+    assert len(re.findall(r"\d (?:\(chosen\) )?[\d,]+ ± \d+", table)) == 5
     assert f" {demonstrator} (chosen) " in f" {table}"
 
 
