@@ -26,6 +26,7 @@ from silem.study import demonstrate, runs
 from silem.study.checkpoint import CHECKPOINT, PROGRESS
 from silem.study.config import RunConfig
 from silem.study.record import RunRecord
+from silem.study.settings import expert_of
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -73,7 +74,7 @@ def plan(configs: Sequence[RunConfig]) -> list[Task]:
 def _recording(config: RunConfig, waiting: Set[str]) -> Task:
     """Return the task that records the demonstrations that a run needs."""
     name, budget = config.demonstrations, config.budget.base_name
-    body, trial = demonstrate.expert_of(name)
+    body, trial = expert_of(name)
     runs.check_made_by_an_expert(body)
     needed = [e for e in demonstrate.experts(body, budget) if trial in (None, e.seed)]
     for expert in needed:

@@ -9,6 +9,7 @@ import numpy as np
 
 from silem import bodies
 from silem.bodies import BulletBody
+from silem.bodies.body import AT_LIMIT, VELOCITY_SCALE
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs
@@ -17,11 +18,7 @@ from silem.study.record import RunRecord
 from silem.study.settings import Budget
 from silem.util.errors import SilemError
 
-AT_LIMIT = 0.99
-"""|scaled angle| beyond which a joint is at its limit, as `silem.envs.bullet.task` charges it."""
-
 _FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.task.LocomotionTask`
-_VELOCITY_SCALE = 0.3  # of the forward velocity, likewise
 
 
 def experts(body: str, budget: str | Budget) -> list[RunConfig]:
@@ -50,15 +47,6 @@ def demonstrator(body: str, budget: str | Budget) -> RunRecord:
         )
     records = [record for record in found if record is not None]
     return max(records, key=lambda record: float(record.evaluation["return_mean"]))
-
-
-def expert_of(name: str) -> tuple[str, int | None]:
-    """Return the body and the trial that demonstrations are of: ("HC0", 3) for "HC0_s3".
-
-    The trial of "HC0" is None: its demonstrator's, whichever that is.
-    """
-    body, separator, trial = name.rpartition("_s")
-    return (body, int(trial)) if separator and trial.isdecimal() else (name, None)
 
 
 def trial_name(record: RunRecord) -> str:
@@ -151,7 +139,7 @@ def gait(demonstrations: Demonstrations) -> Gait:
     pitch = pitch_rad(states)
     returns = np.array(demonstrations.returns)
     return Gait(
-        speed_m_s=float(states[:, _FORWARD].mean(dtype=np.float64)) / _VELOCITY_SCALE,
+        speed_m_s=float(states[:, _FORWARD].mean(dtype=np.float64)) / VELOCITY_SCALE,
         pitch_rad=float(pitch.mean()),
         pitch_std_rad=float(pitch.std()),
         limit_share=float((at_limits > 0).mean()),

@@ -8,7 +8,6 @@ runs, `silem.settings`, ``silem show`` and the book's tables all read that.
 from __future__ import annotations
 
 import dataclasses
-import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -344,6 +343,15 @@ def _family(name: str) -> FamilySettings:
     return FAMILIES.get(name, FAMILIES["halfcheetah"])
 
 
+def expert_of(name: str) -> tuple[str, int | None]:
+    """Return the body and the trial that demonstrations are of: ("HC0", 3) for "HC0_s3".
+
+    The trial of "HC0" is None: its demonstrator's, whichever that is.
+    """
+    body, separator, trial = name.rpartition("_s")
+    return (body, int(trial)) if separator and trial.isdecimal() else (name, None)
+
+
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
     """Return the name of the demonstrations of one cell: those wanted, or the paper's.
 
@@ -369,7 +377,7 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         return chosen
     if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
-        choose("demonstrations", re.sub(r"_s\d+$", "", wanted), bodies.names())
+        choose("demonstrations", expert_of(wanted)[0], bodies.names())
     if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original

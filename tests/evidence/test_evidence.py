@@ -16,9 +16,8 @@ from silem.motion.features import FEATURES
 from silem.report import results
 from silem.study import verify
 from silem.study.config import TRIAL_SEEDS
-from silem.study.demonstrate import expert_of
 from silem.study.record import POLICY, RECORD, RunRecord
-from silem.study.settings import HUMAN
+from silem.study.settings import HUMAN, expert_of
 from silem.util import files, paths
 
 DATA = paths.REPO / "data"

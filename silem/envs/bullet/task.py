@@ -15,6 +15,8 @@ import gymnasium
 import numpy as np
 
 from silem.bodies import BulletBody
+from silem.bodies.body import AT_LIMIT as _AT_LIMIT
+from silem.bodies.body import VELOCITY_SCALE as _VELOCITY_SCALE
 from silem.envs.bullet.simulator import State
 
 OBSERVATION_BOUND = 5.0  # observations are clipped to +- this
@@ -23,8 +25,6 @@ _TARGET_M = 1e3  # the body runs along x towards a point a kilometre away
 _ELECTRICITY_COST = -2.0
 _STALL_COST = -0.1
 _LIMIT_COST = -0.1
-_AT_LIMIT = 0.99  # share of a joint's range beyond which it counts as at its limit
-_VELOCITY_SCALE = 0.3  # of the root's velocity in the observation
 _JOINT_VELOCITY_SCALE = 0.1
 
 

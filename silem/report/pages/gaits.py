@@ -18,9 +18,10 @@ from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import film, results, style, tables
 from silem.report.figures import sources
 from silem.study import demonstrate, runs
-from silem.study.demonstrate import demonstrator, expert_of, experts, trial_name
+from silem.study.demonstrate import demonstrator, experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
+from silem.study.settings import expert_of
 from silem.util.errors import SilemError
 
 _METHODS = ("silem", "silem-minus")
