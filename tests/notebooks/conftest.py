@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import shutil
 import sys
@@ -24,16 +23,13 @@ from papermill.parameterize import parameterize_notebook
 from traitlets import Type
 from traitlets.config import Config
 
-from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
 from silem.study.demonstrate import experts
-from silem.study.record import POLICY, RunRecord
-from silem.study.training import settings
-from silem.util import files
+from silem.study.record import RunRecord
 from silem.util.errors import SilemError
 
 REPO = Path(__file__).parents[2]
@@ -69,13 +65,7 @@ def add_untrained_policy(config: RunConfig) -> None:
 
     record = runs.find(config.run_id)
     assert record is not None
-    env = make_vec(config.body, n_envs=1)
-    model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
-    env.close()
-    path = record.folder / POLICY
-    files.write_tensors(path, model.policy_arrays(), {"run_id": config.run_id})
-    with_policy = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
-    with_policy.save(record.folder)
+    synthetic.with_policy(record)
 
 
 def random_demonstrations(body: str, n_trajectories: int = 20, n_steps: int = 60) -> Demonstrations:

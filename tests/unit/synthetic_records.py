@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,10 +10,13 @@ import numpy as np
 import pytest
 
 from silem import bodies
+from silem.algorithms import PPO
+from silem.envs import make_vec
 from silem.motion.features import FEATURES
 from silem.study.config import RunConfig
-from silem.study.record import RunRecord, curve_csv, curve_row
+from silem.study.record import POLICY, RunRecord, curve_csv, curve_row
 from silem.study.studies import study_configs
+from silem.study.training import settings
 from silem.util import files, paths
 
 HUMANOIDS = ("Humanoid", "HumanoidR", "Atlas")
@@ -190,3 +194,16 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
 def study(case: str) -> pytest.MarkDecorator:
     """Let a test meet one of its module's studies (see the fixture `frame`)."""
     return pytest.mark.parametrize("frame", [case], indirect=True)
+
+
+def with_policy(record: RunRecord) -> RunRecord:
+    """Give a made-up record an untrained policy."""
+    config = record.run_config()
+    env = make_vec(config.body, n_envs=1)
+    model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
+    env.close()
+    path = record.folder / POLICY
+    files.write_tensors(path, model.policy_arrays(), {"run_id": record.run_id})
+    complete = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
+    complete.save(record.folder)
+    return complete

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,6 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, texts
 
-from silem.algorithms import PPO
-from silem.envs import make_vec
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.report import results
@@ -21,10 +18,7 @@ from silem.study import demonstrate as recording
 from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate, describe, experts
-from silem.study.record import POLICY, RunRecord
 from silem.study.studies import study_configs
-from silem.study.training import settings
-from silem.util import files
 
 PITCHES = {"HC0_s0": 0.4, "HC0_s1": 0.0, "HC0_s2": 0.3, "HC0_s3": 0.2, "HC0_s4": 0.1}
 
@@ -38,25 +32,14 @@ def galloping(pitch: float, n_states: int = 300) -> np.ndarray:
     return features
 
 
-def with_policy(record: RunRecord) -> RunRecord:
-    """Give a made-up record an untrained policy."""
-    config = record.run_config()
-    env = make_vec(config.body, n_envs=1)
-    model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
-    env.close()
-    path = record.folder / POLICY
-    files.write_tensors(path, model.policy_arrays(), {"run_id": record.run_id})
-    complete = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
-    complete.save(record.folder)
-    return complete
-
-
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data folder with HC0's five experts, each with published demonstrations."""
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     for config, (name, pitch) in zip(experts("HC0", "book"), PITCHES.items(), strict=True):
-        record = with_policy(synthetic.write_record(config, 2000 + 100 * (config.seed == 3)))
+        record = synthetic.with_policy(
+            synthetic.write_record(config, 2000 + 100 * (config.seed == 3))
+        )
         states = galloping(pitch)
         demos.publish(name, Demonstrations((states,), (2000.0,), "HC0", record.run_id))
     return tmp_path
@@ -223,7 +206,7 @@ def test_best_and_worst_are_filmed_side_by_side(data: Path) -> None:
     imitators({"silem": {"HC0_s0": 0.1, "HC0_s1": 0.9}, "silem-minus": {"HC0_s4": 0.5}})
     records = results.load_records("demonstrators", "book")
     for row in records.itertuples():
-        with_policy(results.find(row.run_id))
+        synthetic.with_policy(results.find(row.run_id))
     best, worst = gaits.extremes(records).items()
     assert best[0] == "best: HC1, SILEM, trial 1"
     assert worst[0] == "worst: HC1, SILEM, trial 0"
