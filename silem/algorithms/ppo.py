@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -31,15 +30,15 @@ _OF_THE_FILE = {"self", "policy", "args", "kwargs", "normalize_observations", "_
 class PPO(SB3PPO):
     """Proximal policy optimisation (Schulman et al., 2017) on stable-baselines3's interface.
 
-    Takes every argument of ``stable_baselines3.PPO``. The tanh MLP of ``MlpPolicy`` is rolled
-    out and updated by :class:`FlatActorCritic`; any other policy or preprocessing, a clipped
-    value loss and gSDE go through stable-baselines3's own code.
+    The tanh MLP of ``MlpPolicy`` is rolled out and updated by :class:`FlatActorCritic`; any other
+    policy or preprocessing, a clipped value loss and gSDE go through stable-baselines3's own code.
 
     Args:
         policy: As in stable-baselines3.
         env: As in stable-baselines3.
+        *args: Every other argument of ``stable_baselines3.PPO``.
         normalize_observations: Put :class:`RunningNormalizer` in front of an ``MlpPolicy``.
-        **kwargs: Every other argument of ``stable_baselines3.PPO``.
+        **kwargs: As ``*args``, by name.
 
     Raises:
         SilemError: A number is not of its kind.
@@ -80,8 +79,7 @@ class PPO(SB3PPO):
         """Load a model that ``save`` wrote, running whatever code the file holds.
 
         **Load only files you trust**: stable-baselines3's format contains pickles. To give a
-        policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`, whose
-        files hold numbers alone.
+        policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`.
 
         Args:
             path: The .zip file.
@@ -110,11 +108,7 @@ class PPO(SB3PPO):
             raise SilemError(f"{path} holds other networks than asked for: {error}") from error
 
     def export_policy(self, path: Path | str, **about: str) -> None:
-        """Write the policy as a safetensors file, numbers alone, for `silem.load_policy`.
-
-        Args:
-            path: The file.
-            **about: What else its metadata should say.
+        """Write the policy, for `silem.load_policy`: a safetensors file, with metadata ``about``.
 
         Raises:
             SilemError: The policy is no multi-layer perceptron on a flat Box of observations, or
@@ -133,27 +127,17 @@ class PPO(SB3PPO):
         Random streams and episodes under way are not part of it: a checkpoint is taken where
         the environments are reset and :meth:`reseed` is called.
         """
-        return state.collect(self.state_modules(), self.state_optimizers())
+        return state.collect(self._learners())
 
     def load_state_arrays(self, arrays: dict[str, np.ndarray]) -> None:
         """Restore :meth:`state_arrays`; raises SilemError on missing or misshaped arrays."""
-        state.restore(self.state_modules(), self.state_optimizers(), arrays)
+        state.restore(self._learners(), arrays)
 
-    def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return what ``predict`` needs: the policy's weights and observation moments."""
-        return state.collect({"policy": self.policy}, {})
-
-    def load_policy_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore :meth:`policy_arrays`; raises SilemError on missing or misshaped arrays."""
-        state.restore({"policy": self.policy}, {}, arrays)
-
-    def state_modules(self) -> dict[str, th.nn.Module]:
-        """Return the modules that learn, by name."""
-        return {name: getattr(self, module) for name, (module, _) in self._learns.items()}
-
-    def state_optimizers(self) -> dict[str, th.optim.Optimizer]:
-        """Return their optimizers, by the same names."""
-        return {name: recursive_getattr(self, adam) for name, (_, adam) in self._learns.items()}
+    def _learners(self) -> state.Learners:
+        return {
+            name: (getattr(self, module), recursive_getattr(self, optimizer))
+            for name, (module, optimizer) in self._learns.items()
+        }
 
     def collect_rollouts(
         self,
@@ -165,37 +149,29 @@ class PPO(SB3PPO):
         """Fill the rollout buffer as stable-baselines3 does, and remember what bootstraps it.
 
         Values at time limits are kept apart from the rewards, so that an imitation learner can
-        put other rewards in their place before it learns. A rollout that is broken off, by a
-        callback or an error, leaves the environments ahead of what the model saw of them; the
-        next ``learn`` therefore begins with new episodes.
+        put other rewards in their place before it learns.
 
         Returns:
             False if the callback ended training, else True.
         """
-        complete = False
-        try:
-            complete = self._collect(env, callback, rollout_buffer, n_rollout_steps)
-        finally:
-            if not complete:
-                self._last_obs = None
-        return complete
-
-    def _collect(
-        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_steps: int
-    ) -> bool:
         self._refresh_twin()
         self.policy.set_training_mode(False)
         rollout_buffer.reset()
-        self._bootstrap = np.zeros((n_steps, env.num_envs), dtype=np.float32)
+        self._bootstrap = np.zeros((n_rollout_steps, env.num_envs), dtype=np.float32)
         self._episodes: list[dict[str, float]] = []
         if self.use_sde:
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
         self._begin_rollout(env)
-        for step in range(n_steps):
+        obs: Any = self._last_obs
+        starts = self._last_episode_starts
+        # A rollout that a callback or an error breaks off leaves the environments ahead of what
+        # the model saw of them: `learn` begins with new episodes then.
+        self._last_obs = None
+        for step in range(n_rollout_steps):
             if self.use_sde and self.sde_sample_freq > 0 and step % self.sde_sample_freq == 0:
                 self.policy.reset_noise(env.num_envs)
-            actions, values, log_probs = self._sample(self._last_obs)
+            actions, values, log_probs = self._sample(obs)
             new_obs, rewards, dones, infos = env.step(self._env_actions(actions))
             self.num_timesteps += env.num_envs
             callback.update_locals(locals())
@@ -207,11 +183,11 @@ class PPO(SB3PPO):
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
             _store(
-                rollout_buffer, step, observations=self._last_obs, actions=actions,
-                rewards=rewards, episode_starts=self._last_episode_starts, values=values,
-                log_probs=log_probs,
+                rollout_buffer, step, observations=obs, actions=actions, rewards=rewards,
+                episode_starts=starts, values=values, log_probs=log_probs,
             )  # fmt: skip
-            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
+            obs, starts = new_obs, dones
+        self._last_obs, self._last_episode_starts = obs, starts
         self._set_rewards(rollout_buffer.rewards)
         callback.update_locals(locals())
         callback.on_rollout_end()
@@ -328,37 +304,46 @@ class PPO(SB3PPO):
         self._update_learning_rate(self.policy.optimizer)
         assert callable(self.clip_range)
         clip_range = self.clip_range(self._current_progress_remaining)
-        rollout = _flatten(self.rollout_buffer, fast)
+        buffer = self.rollout_buffer
+        flat = buffer.swap_and_flatten  # environments one after another
+        scalars = (flat(x)[:, 0] for x in (buffer.log_probs, buffer.advantages, buffer.returns))
+        rollout = Batch(fast.normalize(flat(buffer.observations)), flat(buffer.actions), *scalars)
         losses: list[Losses] = []
         for _ in range(self.n_epochs):
-            order = self._rng.permutation(len(rollout.actions))
-            for batch in _minibatches(rollout, order, self.batch_size, self.normalize_advantage):
-                loss = fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef)
-                losses.append(loss)
-                if self.target_kl is not None and loss.approx_kl > 1.5 * self.target_kl:
+            for batch in self._minibatches(rollout):
+                losses.append(fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef))
+                far = self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl
+                if far:
                     break
                 fast.adam_step(self.max_grad_norm)
             self._n_updates += 1
-            if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
+            if far:
                 break
         self._log_update(losses, clip_range)
 
+    def _minibatches(self, rollout: Batch) -> Iterator[Batch]:
+        """Yield one epoch's minibatches, in random order."""
+        order = self._rng.permutation(len(rollout.actions))
+        shuffled = [array[order] for array in rollout]
+        for start in range(0, len(order), self.batch_size):
+            batch = Batch(*(array[start : start + self.batch_size] for array in shuffled))
+            advantages = batch.advantages
+            if self.normalize_advantage and len(advantages) > 1:
+                advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
+            yield batch._replace(advantages=advantages)
+
     def _log_update(self, losses: list[Losses], clip_range: float) -> None:
         """Log what stable-baselines3's PPO does, under its names."""
-        log_std, buffer, last = (
-            self.policy.log_std.detach().numpy(),
-            self.rollout_buffer,
-            losses[-1],
-        )
+        log_std, buffer = self.policy.log_std.detach().numpy(), self.rollout_buffer
         entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-        policy, value, approx_kl, clip_fraction = np.mean([astuple(x) for x in losses], axis=0)
+        policy, value, approx_kl, clip_fraction = np.mean(losses, axis=0)
         logged = {
             "entropy_loss": -entropy,
             "policy_gradient_loss": policy,
             "value_loss": value,
             "approx_kl": approx_kl,
             "clip_fraction": clip_fraction,
-            "loss": last.policy - self.ent_coef * entropy + self.vf_coef * last.value,
+            "loss": losses[-1].policy - self.ent_coef * entropy + self.vf_coef * losses[-1].value,
             "std": float(np.exp(log_std).mean()),
             "explained_variance": explained_variance(buffer.values.ravel(), buffer.returns.ravel()),
             "clip_range": clip_range,
@@ -395,30 +380,3 @@ def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
         into[...] = np.reshape(row, into.shape)
     buffer.pos = step + 1
     buffer.full = buffer.pos == buffer.buffer_size
-
-
-def _flatten(buffer: RolloutBuffer, fast: FlatActorCritic) -> Batch:
-    """Return a full rollout (T, E, ...) as one batch, environments one after another."""
-    flat = buffer.swap_and_flatten
-    return Batch(
-        fast.normalize(flat(buffer.observations)),
-        flat(buffer.actions),
-        flat(buffer.log_probs)[:, 0],
-        flat(buffer.advantages)[:, 0],
-        flat(buffer.returns)[:, 0],
-    )
-
-
-def _minibatches(
-    rollout: Batch, order: np.ndarray, size: int, normalize_advantage: bool
-) -> Iterator[Batch]:
-    """Yield one epoch's minibatches: ``order`` (N,) cut into pieces of ``size``."""
-    inputs, actions, log_probs, all_advantages, returns = (
-        getattr(rollout, name)[order] for name in Batch.__dataclass_fields__
-    )
-    for start in range(0, len(order), size):
-        rows = slice(start, start + size)
-        advantages = all_advantages[rows]
-        if normalize_advantage and len(advantages) > 1:
-            advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-        yield Batch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])

@@ -23,8 +23,8 @@ class SILEM(GAIfO):
 
     Args:
         policy: As in stable-baselines3 ("MlpPolicy").
-        env: As in :class:`GAIfO`.
-        demonstrations: As in :class:`GAIfO`.
+        env: As in :class:`GAIfO`, and so are the demonstrations.
+        demonstrations: The expert's.
         transform: f of the sequential transform: "affine" is SILEM, "mlp" the ablation of
             Table 1. Without a transform SILEM is :class:`GAIfO`, the paper's SILEM-minus.
         n_transform_updates: N_G, transform steps per iteration, one pass over the rollout.
@@ -116,14 +116,12 @@ class SILEM(GAIfO):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        transform = TRANSFORMS[self.transform](self.demonstrations.n_features)
-        self.transform_net = transform.to(self.device)
-        self.transform_optimizer = th.optim.Adam(
-            transform.parameters(), lr=self.transform_learning_rate
-        )
+        transform = TRANSFORMS[self.transform](self.demonstrations.n_features).to(self.device)
+        self.transform_net, rate = transform, self.transform_learning_rate
+        self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 
-    def _report(self, stats: dict[str, float]) -> None:
-        super()._report(stats)
+    def _report(self, stats: dict[str, float], judged: np.ndarray) -> None:
+        super()._report(stats, judged)
         if isinstance(self.transform_net, AffineTransform):
             for name, values in self.transform_net.named_parameters():
                 for i, entry in enumerate(values.tolist()):

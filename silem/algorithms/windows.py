@@ -159,25 +159,3 @@ def _check_observations(env: VecEnv) -> None:
             " it goes; leave it away or pass it norm_obs=False (the policy normalises its"
             f" observations itself), or have the environment supply info[{INFO_KEY!r}]"
         )
-
-
-class WindowTracker:
-    """The learner's windows, built step by step in E environments.
-
-    Args:
-        window: Number of states W in a window.
-        first: Features of each environment's first state, (E, F).
-    """
-
-    def __init__(self, window: int, first: np.ndarray) -> None:
-        self._recent = np.repeat(first[:, None, :], window, axis=1).astype(np.float32)
-
-    def push(self, features: np.ndarray) -> np.ndarray:
-        """Append the states (E, F) just reached and return the windows (E, W, F) they end."""
-        self._recent[:, :-1] = self._recent[:, 1:]
-        self._recent[:, -1] = features
-        return self._recent
-
-    def restart(self, environment: int, first: np.ndarray) -> None:
-        """Begin a new episode with first state (F,) in one environment."""
-        self._recent[environment] = first

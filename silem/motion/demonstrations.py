@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -87,9 +87,20 @@ class Demonstrations:
         files.write_npz(Path(path), {**dict(zip(_OWN, own, strict=True)), **self.extra})
 
     @classmethod
-    def from_arrays(cls, arrays: Iterable[np.ndarray]) -> Demonstrations:
-        """Wrap (T + 1, F) arrays of numbers, checked as a file's are."""
-        return cls(tuple(_float32(array) for array in arrays))
+    def of(cls, given: Any) -> Demonstrations:
+        """Take demonstrations, or wrap a list of (T + 1, F) arrays, checked as a file's are."""
+        wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
+        if isinstance(given, Demonstrations):
+            return given
+        if given is None:
+            raise SilemError(f"imitation needs demonstrations: {wanted}")
+        if isinstance(given, np.ndarray) and given.ndim == 2:
+            given = f"one array {given.shape}; for one episode, [array]"
+            raise SilemError(f"demonstrations are {given}; allowed: {wanted}")
+        try:
+            return cls(tuple(_float32(array) for array in given))
+        except (TypeError, ValueError) as error:  # a SilemError is a ValueError
+            raise SilemError(f"unusable demonstrations: {error}; allowed: {wanted}") from error
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:

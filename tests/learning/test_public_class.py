@@ -90,12 +90,6 @@ def by_state_arrays(source: silem.PPO, path) -> silem.PPO:
     return model
 
 
-def by_policy_arrays(source: silem.PPO, path) -> silem.PPO:
-    model = new()
-    model.load_policy_arrays(source.policy_arrays())
-    return model
-
-
 def by_another_policy(source: silem.PPO, path) -> silem.PPO:
     source.export_policy(path.with_suffix(".safetensors"))
     model = new()
@@ -113,7 +107,7 @@ def by_replaced_tensors(source: silem.PPO, path) -> silem.PPO:
 
 WAYS_IN = [
     by_load, by_set_parameters, by_set_parameters_in_the_middle, by_state_arrays,
-    by_policy_arrays, by_another_policy, by_replaced_tensors,
+    by_another_policy, by_replaced_tensors,
 ]  # fmt: skip
 
 
