@@ -107,8 +107,7 @@ class Demonstrations:
         """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
         Raises:
-            SilemError: If there is no such file, or it is truncated, pickled, not a
-                demonstrations file, or holds anything but finite numbers.
+            SilemError: There is no such file, or it is none or damaged.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -187,10 +186,8 @@ def is_published(name: str) -> bool:
     """Return whether the file is there and the one that the manifest describes.
 
     Whoever was killed between writing the one and the other left them apart. A person's own file,
-    which no expert made and the manifest does not name, stands for itself.
-
-    Raises:
-        SilemError: The manifest is damaged, or a file that it does not name.
+    which no expert made and the manifest does not name, stands for itself. Raises SilemError on a
+    damaged manifest, or a damaged file that it does not name.
     """
     path = file_of(name)
     if not path.exists():
@@ -204,8 +201,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
     Raises:
-        SilemError: The file is missing, damaged, not the one that the manifest describes, or
-            another body's.
+        SilemError: The file is missing, damaged, another body's, or not the manifest's.
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
@@ -231,10 +227,9 @@ def publishing() -> Iterator[None]:
 def publish(
     name: str, demonstrations: Demonstrations, about: Mapping[str, Any] | None = None
 ) -> Path:
-    """Save demonstrations under the data folder, where `Demonstrations.load` finds them by name.
+    """Save demonstrations where `Demonstrations.load` finds them by name, and return the file.
 
-    They are entered in its manifest with what else is to be said `about` them, such as source and
-    licence. Returns the file.
+    The manifest beside it takes what else is to be said `about` them, such as source and licence.
     """
     path = _own_file(name)
     content = _read(path.parent)

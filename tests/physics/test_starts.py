@@ -176,7 +176,7 @@ def own_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     qpos = np.tile(bodies.of_kind("Humanoid", MujocoBody).standing_pose, (3, 1))
     qpos[:, 7] = 0.1, 0.2, 0.3
     publish("my_walk", {"speed_m_s": 0.8049, "capture_rate_hz": 60.0})
-    about = {"retargeted_from": "my_walk", "summary": "slower on shorter legs"}
+    about = {"retargeted_from": "my_walk", "note": "slower on shorter legs"}
     publish(retargeted("my_walk", "Humanoid"), about, qpos=qpos, qvel=np.zeros((3, 27)))
     return qpos
 
