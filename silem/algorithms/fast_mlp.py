@@ -1,9 +1,8 @@
 """The tanh MLP actor-critic of PPO in NumPy, on the memory of the torch policy.
 
-A PPO update is hundreds of tiny matrix products, and autograd's bookkeeping costs several
-times the arithmetic. Here forward pass, gradient and Adam are written out on one flat vector.
-The torch parameters and Adam's moments are views of the same memory, so everything
-stable-baselines3 does with the policy (predict, save, load) sees every step at once.
+A PPO update is hundreds of tiny matrix products, and autograd's bookkeeping costs several times the
+arithmetic. Here forward pass, gradient and Adam are written out on one flat vector;
+`PPO._refresh_twin` says how it and torch share their memory.
 """
 
 from __future__ import annotations
@@ -76,11 +75,7 @@ class _Tower:
 
 
 class FlatActorCritic:
-    """NumPy twin of a supported ``ActorCriticPolicy``; see :meth:`supports`.
-
-    Args:
-        policy: The torch policy whose parameters are moved into one flat vector.
-    """
+    """NumPy twin of a policy that it :meth:`supports`; takes over the memory of its parameters."""
 
     def __init__(self, policy: ActorCriticPolicy) -> None:
         self.policy = policy
@@ -92,8 +87,7 @@ class FlatActorCritic:
     def supports(policy: object) -> bool:
         """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam.
 
-        What stable-baselines3 does to observations before the networks see them is part of it:
-        the twin takes Box observations as they are, so not those that count as images.
+        Observations must reach its networks as they are: from a Box, and not as images.
         """
         if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
             return False
@@ -154,11 +148,8 @@ class FlatActorCritic:
     def gradient(self, batch: Batch, clip_range: float, ent_coef: float, vf_coef: float) -> Losses:
         """Fill ``self.grads`` with the gradient of PPO's clipped loss (Schulman et al., 2017).
 
-        Args:
-            batch: The minibatch; its advantages are used as they are.
-            clip_range: Epsilon of the clipped surrogate.
-            ent_coef: Weight of the entropy bonus.
-            vf_coef: Weight of the squared value error.
+        The minibatch's advantages are used as they are; ``clip_range`` is epsilon, the other two
+        are the weights of the entropy bonus and of the squared value error.
         """
         size = len(batch.actions)
         std = np.exp(self._log_std)

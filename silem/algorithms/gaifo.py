@@ -25,6 +25,14 @@ REWARDS = {
 """The reward of a window by name, from the logit of D."""
 
 
+def descend(optimizer: th.optim.Optimizer, loss: th.Tensor) -> None:
+    """Step down the loss in what an optimizer learns; no other gradient is even computed."""
+    learned = optimizer.param_groups[0]["params"]
+    for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
+        p.grad = gradient
+    optimizer.step()
+
+
 class SurvivalWarning(UserWarning):
     """The learner's episodes can end, and the reward pays for when they do."""
 
@@ -119,9 +127,7 @@ class GAIfO(PPO):
     def update_discriminator(self, tau: th.Tensor) -> dict[str, float]:
         """Make N_D steps of line 9 over one pass of learner windows (N, W, F) as D sees them.
 
-        Returns:
-            Means over the steps of the loss and of the share of expert and learner windows
-            judged rightly.
+        Returns the steps' mean loss and shares of expert and learner windows judged rightly.
         """
         self.disc_optimizer.param_groups[0]["lr"] = self.disc_learning_rate
         steps = []
@@ -129,9 +135,7 @@ class GAIfO(PPO):
             draw = th.randint(len(self._expert_windows), (len(rows),), generator=self._torch_rng)
             mixing = th.rand(len(rows), generator=self._torch_rng).to(self.device)
             loss, stats = self._disc_loss(self._expert_windows[draw], tau[rows], mixing)
-            self.disc_optimizer.zero_grad()
-            loss.backward()
-            self.disc_optimizer.step()
+            descend(self.disc_optimizer, loss)
             steps.append(stats)
         return {name: float(np.mean([stats[name] for stats in steps])) for name in steps[0]}
 

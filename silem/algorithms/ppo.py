@@ -84,22 +84,21 @@ class PPO(SB3PPO):
         Args:
             path: The .zip file.
             env: The environment to go on with; None is enough to predict.
-            device: Where the networks live.
+            device: As in stable-baselines3.
             custom_objects: As in stable-baselines3.
             **kwargs: What the constructor takes, in place of what was saved; also
                 ``print_system_info`` and ``force_reset``, as in stable-baselines3.
 
         Raises:
-            SilemError: An argument is unknown or of no use, or the networks that the arguments
-                describe are not those of the file.
+            SilemError: An argument is unknown or of no use, or the file holds other networks than
+                the arguments describe.
         """
         allowed = {"print_system_info": None, "force_reset": None}
         for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
             allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
+        names = sorted(allowed.keys() - _OF_THE_FILE)
         for name in kwargs:
-            errors.choose(
-                f"argument of {cls.__name__}.load", name, sorted(allowed.keys() - _OF_THE_FILE)
-            )
+            errors.choose(f"argument of {cls.__name__}.load", name, names)
         if "stats_window_size" in kwargs:
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
@@ -122,11 +121,7 @@ class PPO(SB3PPO):
         set_random_seed(seed)  # torch, and the global NumPy stream of SB3's own path
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return all that training needs at an iteration's start, as named arrays.
-
-        Random streams and episodes under way are not part of it: a checkpoint is taken where
-        the environments are reset and :meth:`reseed` is called.
-        """
+        """Return what training needs at an iteration's start, with new episodes and `reseed`."""
         return state.collect(self._learners())
 
     def load_state_arrays(self, arrays: dict[str, np.ndarray]) -> None:
@@ -146,13 +141,10 @@ class PPO(SB3PPO):
         rollout_buffer: RolloutBuffer,
         n_rollout_steps: int,
     ) -> bool:
-        """Fill the rollout buffer as stable-baselines3 does, and remember what bootstraps it.
+        """Fill the rollout buffer as stable-baselines3 does; False if the callback ends training.
 
         Values at time limits are kept apart from the rewards, so that an imitation learner can
         put other rewards in their place before it learns.
-
-        Returns:
-            False if the callback ended training, else True.
         """
         self._refresh_twin()
         self.policy.set_training_mode(False)
@@ -211,13 +203,13 @@ class PPO(SB3PPO):
         """Have the NumPy twin of the policy, where there is one, agree with the torch policy.
 
         The invariant: the twin owns the memory. Parameters and Adam's moments live in its flat
-        vectors, and torch's tensors are views of them, so a step of either side is seen by the
-        other at once, as is what is copied into the tensors (``load_state_dict``). Two things it
-        cannot see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``,
-        another policy object) and observation moments, of which it keeps a rounded copy. So
-        before every rollout and every update it adopts replaced tensors and copies the moments
-        anew, whoever changed them; between these two nothing may. Where the policy is none that
-        it reproduces, there is no twin, and stable-baselines3's own code runs.
+        vectors, of which torch's tensors are views, so a step of either side is seen by the other
+        at once, as is what is copied into the tensors (``load_state_dict``). Two things it cannot
+        see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``, another
+        policy object) and observation moments, of which it keeps a rounded copy. So before every
+        rollout and every update it adopts replaced tensors and copies the moments anew, whoever
+        changed them; between these two nothing may. Where it does not reproduce the policy, there
+        is no twin, and stable-baselines3's own code runs.
         """
         if not FlatActorCritic.supports(self.policy) or self.clip_range_vf is not None:
             self._fast = None
@@ -354,21 +346,18 @@ class PPO(SB3PPO):
 
     def _record_episodes(self) -> None:
         """Fill ``iteration_stats`` with what this iteration's finished episodes showed."""
-        stats: dict[str, float] = {}
+        self.iteration_stats = {}
         for key, name in _EPISODE_STATS.items():
-            values = [episode[key] for episode in self._episodes if key in episode]
-            if values:
-                stats[name] = float(np.mean(values))
+            if values := [episode[key] for episode in self._episodes if key in episode]:
+                self.iteration_stats[name] = float(np.mean(values))
         if hasattr(self.policy, "log_std"):
-            stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
-        self.iteration_stats = stats
+            self.iteration_stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
 
 
 def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
     """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
 
-    ``RolloutBuffer.add`` copies tensors; writing plain arrays into its rows is several times
-    faster. Dictionaries of observations go through ``add``.
+    This is several times faster than ``RolloutBuffer.add``, which dictionaries of observations take.
     """
     if isinstance(rows["observations"], dict):
         tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))

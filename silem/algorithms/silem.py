@@ -9,7 +9,7 @@ import numpy as np
 import torch as th
 from torch.nn import functional as F
 
-from silem.algorithms.gaifo import GAIfO
+from silem.algorithms.gaifo import GAIfO, descend
 from silem.algorithms.networks import L2_FORMS, TRANSFORMS, AffineTransform, l2_penalty
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
@@ -74,13 +74,11 @@ class SILEM(GAIfO):
     def update_transform(self, tau_c: th.Tensor) -> dict[str, float]:
         """Make N_G steps of line 10 on windows (N, W, F); D's weights stay.
 
-        Returns:
-            The mean of line 10's loss -log D(T(o)), without the L2 term, and the learning rate.
+        Returns the mean of its loss -log D(T(o)), without the L2 term, and the learning rate.
         """
         iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1  # 0 for the first
         rate = self.transform_learning_rate * self.transform_lr_decay**iteration
         self.transform_optimizer.param_groups[0]["lr"] = rate
-        learned = list(self.transform_net.parameters())
         losses = []
         for rows in self._passes(len(tau_c), self.n_transform_updates):
             logits = self.discriminator(self._apply(tau_c[rows]))
@@ -90,10 +88,7 @@ class SILEM(GAIfO):
                 weights = self.transform_l2_scale, self.transform_l2_bias
                 assert isinstance(self.transform_net, AffineTransform)
                 loss = loss + l2_penalty(self.transform_net, *weights, self.transform_l2_form)
-            # gradients by T alone: D's are not even computed
-            for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
-                p.grad = gradient
-            self.transform_optimizer.step()
+            descend(self.transform_optimizer, loss)
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:

@@ -45,11 +45,9 @@ def absorbing_windows(last: np.ndarray) -> np.ndarray:
     (Kostrikov et al., 2019). Row k ends k + 1 states after the terminal one, and the last row
     holds the absorbing state alone, as all windows after it would.
     """
-    window, n_features = last.shape
-    absorbing = np.zeros((window, n_features + 1), dtype=last.dtype)
-    absorbing[:, -1] = 1.0
-    states = np.concatenate([marked(last), absorbing])
-    return np.stack([states[k : k + window] for k in range(1, window + 1)])
+    states = np.concatenate([marked(last), np.zeros_like(marked(last))])
+    states[len(last) :, -1] = 1.0
+    return episode_windows(states, len(last))[-len(last) :]
 
 
 class LearnerFeatures:

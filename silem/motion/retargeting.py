@@ -33,7 +33,7 @@ from silem.util.errors import SilemError
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
 
 STANCE_SPEED_M_S = 0.3
-"""A demonstrator's foot slower than this, horizontally, stands: in 08_01 a standing one moves at up to
+"""A demonstrator's foot that is horizontally slower stands: in 08_01 such a foot moves at up to
 0.2 m/s, a swinging one at up to 4.7 m/s."""
 
 TOLERANCE_M = 0.03  #: a frame whose targets are all reached to within this counts as converged
