@@ -57,10 +57,8 @@ class Demonstrations:
 
     def __repr__(self) -> str:
         n, n_states = len(self.features), sum(map(len, self.features))
-        of = f" of {self.body}" if self.body else ""
-        return (
-            f"<Demonstrations{of}: {n} trajectories, {n_states} states, {self.n_features} features>"
-        )
+        held = f"{n} trajectories, {n_states} states, {self.n_features} features"
+        return f"<Demonstrations{self.body and f' of {self.body}'}: {held}>"
 
     @property
     def n_features(self) -> int:
@@ -77,14 +75,14 @@ class Demonstrations:
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""
-        own = (
-            np.concatenate(self.features),
-            np.array([len(array) for array in self.features], dtype=np.int64),
-            np.array(self.returns, dtype=np.float64),
-            np.array(self.body),
-            np.array(self.expert_run_id),
-        )
-        files.write_npz(Path(path), {**dict(zip(_OWN, own, strict=True)), **self.extra})
+        own = {
+            "features": np.concatenate(self.features),
+            "lengths": np.array([len(array) for array in self.features], dtype=np.int64),
+            "returns": np.array(self.returns, dtype=np.float64),
+            "body": np.array(self.body),
+            "expert_run_id": np.array(self.expert_run_id),
+        }
+        files.write_npz(Path(path), own | dict(self.extra))
 
     @classmethod
     def of(cls, given: Any) -> Demonstrations:
@@ -146,7 +144,6 @@ def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
     Those that no run makes come with the package, and are found there if not in the data folder.
-    Raises as `silem.util.errors.check_name`.
     """
     path = _own_file(name)
     packaged = not path.exists() and path.stem in _packaged()
@@ -252,7 +249,7 @@ def publish(
 def captured_speed_m_s(name: str) -> float | None:
     """Return the mean speed of the man whose motion was captured, None where there was none.
 
-    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+    A retargeted motion itself is slower on shorter legs.
     """
     if (about := manifest().get(name)) is None:
         return None  # a person's own file

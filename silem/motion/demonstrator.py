@@ -48,9 +48,9 @@ SKELETON = Skeleton(
 away, are those from `humanoid_CMU`'s thorax."""
 
 FLOOR_SLOPE = 0.0206
-"""In all of subject 8's clips the floor rises by this much per metre walked, 1.2 degrees: the
-captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
-eleven clips, has this slope, with a standard error of 0.0006. Of other clips nothing is known."""
+"""In all of subject 8's clips the floor rises by this much per metre walked: their coordinates are
+tilted. A line through the heights at which the feet stand, 67 times in the eleven clips, has this
+slope, with a standard error of 0.0006. Of other clips nothing is known."""
 
 MAX_HELD_S = 0.1  #: a frame may be held this long for the gap to be closed by interpolation
 MAX_ROOT_ACCELERATION_M_S2 = 600.0  #: 61 times gravity, which no walking man's pelvis reaches
@@ -274,8 +274,7 @@ def published_name(clip: str) -> str:
 def published_motion(clip: str) -> Motion:
     """Return the motion that was published for a clip: one of `CLIPS`, or an own one.
 
-    Raises:
-        SilemError: As `silem.motion.demonstrations.load_published`, or it is no such motion.
+    Raises SilemError as `silem.motion.demonstrations.load_published`, or if it is no such motion.
     """
     name = published_name(clip)
     about, (there, _) = demos.entry(name), demos.load_published(name)
@@ -310,8 +309,7 @@ def publish_own(
 ) -> Path:
     """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
 
-    Runs find it by its name, "my_walk" for example; what had this name is replaced. Rate and slope
-    are those of `pose`.
+    Runs find it by its name; what had this name is replaced. Rate and slope are those of `pose`.
 
     Raises:
         SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another

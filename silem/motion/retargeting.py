@@ -237,10 +237,7 @@ def _solve(
 
 @dataclass(frozen=True)
 class IKResult:
-    """A motion of T frames retargeted to a body with J hinges, and what could not be reached.
-
-    The floor is z = 0. A foot's skate is its horizontal speed while the demonstrator's stands.
-    """
+    """A motion of T frames retargeted to a body with J hinges, and what could not be reached."""
 
     body: str
     motion: str  #: name of the demonstrator's motion
@@ -255,7 +252,7 @@ class IKResult:
     torso_tilt_rad: np.ndarray  #: (T,) angle between the torso's orientation and its target
     converged: np.ndarray  #: (T,) whether every residual is within the tolerance
     at_limit: np.ndarray  #: (T, J) whether a hinge is at a limit
-    foot_skate_m_s: np.ndarray  #: (T, 2) of the left and right foot; NaN while it swings
+    foot_skate_m_s: np.ndarray  #: (T, 2) each foot's horizontal speed; NaN while the man's swings
     raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised (see `Targets`)
     sole_height_m: np.ndarray  #: (T, 2) height of each foot's lowest point
 
@@ -358,8 +355,8 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     until both soles are above the floor; states that fit are returned as they are.
 
     Raises:
-        SilemError: As `silem.motion.demonstrations.load_published`, or the demonstrations hold no
-            states, or states of another body or with NaN or infinity.
+        SilemError: As `silem.motion.demonstrations.load_published`, or there are no states, or
+            those of another body or with NaN or infinity.
     """
     extra = demos.load_published(name)[0].extra
     missing = [array for array in ("qpos", "qvel") if array not in extra]
