@@ -116,7 +116,7 @@ class GAIfO(PPO):
         Lines 1 to 4 are `_setup_model`'s.
         """
         tau_c = self._collected_windows()  # lines 6 and 7, (N, W, F): they stay as they are
-        tau = self._transformed(tau_c)  # line 8, T(o); GAIfO has no T
+        tau = self._transformed(tau_c).detach()  # line 8, T(o); GAIfO has no T
         stats = self.update_discriminator(tau)  # line 9
         stats |= self.update_transform(tau_c)  # line 10, D's weights fixed; GAIfO has no T
         rewards = self._judged(tau, self.reward)  # line 11: D of line 9, but T(o) of line 8
@@ -247,7 +247,7 @@ class GAIfO(PPO):
         return th.from_numpy(windows).to(self.device)
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:
-        """Return what D is shown of learner windows (N, W, F), without gradients."""
+        """Return what D is shown of learner windows (N, W, F)."""
         return windows
 
     def _judged(self, tau: th.Tensor, reward: str) -> np.ndarray:

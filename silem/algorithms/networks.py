@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
 from torch import nn
 from torch.nn import functional as F
 
@@ -21,12 +20,7 @@ _EPSILON = 1e-8
 
 
 def _tanh_mlp(n_inputs: int, hidden: Sequence[int], n_outputs: int = 1) -> list[nn.Module]:
-    """Return the layers of a tanh MLP with a linear head."""
-    sizes = [n_inputs, *hidden]
-    layers: list[nn.Module] = []
-    for n_in, n_out in itertools.pairwise(sizes):
-        layers += [nn.Linear(n_in, n_out), nn.Tanh()]
-    return [*layers, nn.Linear(sizes[-1], n_outputs)]
+    return create_mlp(n_inputs, n_outputs, list(hidden), nn.Tanh)
 
 
 class Discriminator(nn.Module):
@@ -65,8 +59,7 @@ def discriminator_loss(
         mixing: Share of the expert in each mixture, (B,) in [0, 1]; needed with the penalty.
 
     Returns:
-        The loss, and what to log: line 9's cross-entropy alone, and the share of expert and
-        learner windows judged rightly.
+        The loss, and what to log: line 9's cross-entropy and the shares judged rightly.
     """
     logits_expert = discriminator(expert_windows)
     logits_learner = discriminator(learner_windows)
@@ -113,14 +106,9 @@ class ThirdPersonDiscriminator(nn.Module):
     """TPIL's two discriminators on one encoder of single states; a high logit means "expert".
 
     The window head judges the encodings of a window's W states and gives the reward. The domain
-    head tells expert from learner by a single state's encoding; through gradient reversal the
-    encoder learns to make that impossible, so as to forget what the body alone betrays.
-
-    Args:
-        n_features: F, features per state.
-        window: W, states per window.
-        hidden: Units of the hidden layers: the first is the encoder, the others are each head's.
-        reversal_coef: C_g of the gradient reversal.
+    head tells expert from learner by a single state's encoding; through gradient reversal, of
+    weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
+    The first of the hidden layers is the encoder, the others are each head's.
 
     Raises:
         SilemError: If there is no hidden layer.
@@ -175,11 +163,11 @@ def l2_penalty(
 ) -> th.Tensor:
     """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
 
-    The supplement names the two coefficients and not the form. "deviation" measures A from one:
-    the identity, which says that the two bodies are alike, is what a transform should fall back
-    to where the discriminator asks for nothing. The "plain" norm pulls A to 0, hence every
-    feature to a constant that tells nothing of the learner. Both are means over the features, so
-    that a coefficient weighs the same beside the loss of line 10 whatever F is.
+    The supplement names the coefficients and not the form. "deviation" measures A from one: the
+    identity, which says that the two bodies are alike, is what a transform should fall back to
+    where D asks for nothing. The "plain" norm pulls A to 0, hence every feature to a constant that
+    tells nothing. Both are means over the features, so that a coefficient weighs the same beside
+    the loss of line 10 whatever F is.
     """
     rest = 1.0 if form == "deviation" else 0.0
     scale_term = (transform.scale - rest).square().mean()

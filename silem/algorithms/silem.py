@@ -81,7 +81,7 @@ class SILEM(GAIfO):
         self.transform_optimizer.param_groups[0]["lr"] = rate
         losses = []
         for rows in self._passes(len(tau_c), self.n_transform_updates):
-            logits = self.discriminator(self._apply(tau_c[rows]))
+            logits = self.discriminator(self._transformed(tau_c[rows]))
             loss = F.softplus(-logits).mean()  # -log sigmoid(logit)
             losses.append(loss.item())
             if self.transform_l2_scale or self.transform_l2_bias:
@@ -92,10 +92,6 @@ class SILEM(GAIfO):
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:
-        with th.no_grad():
-            return self._apply(windows)
-
-    def _apply(self, windows: th.Tensor) -> th.Tensor:
         """Return T(o) of windows (N, W, F); the absorbing state has no features to transform."""
         if not self._absorbing:
             return self.transform_net(windows)
