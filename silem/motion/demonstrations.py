@@ -98,7 +98,9 @@ class Demonstrations:
         try:
             return cls(tuple(_float32(array) for array in given))
         except (TypeError, ValueError) as error:  # a SilemError is a ValueError
-            raise SilemError(f"unusable demonstrations: {error}; allowed: {wanted}") from error
+            raise SilemError(
+                f"unusable demonstrations: {reason(error)}; allowed: {wanted}"
+            ) from error
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:
@@ -130,10 +132,7 @@ class Demonstrations:
 
 def _float32(array: Any) -> np.ndarray:
     """Return real numbers as float32; text, booleans and complex numbers are no features."""
-    try:
-        found = np.asarray(array)
-    except (TypeError, ValueError) as error:
-        raise SilemError(f"features are no array: {reason(error)}") from error
+    found = np.asarray(array)
     if found.dtype.kind not in "fiu":
         raise SilemError(f"features are {found.dtype}; allowed: real numbers")
     with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
