@@ -183,11 +183,9 @@ class GAIfO(PPO):
         self._recent: np.ndarray | None = None  # the windows (E, W, F) that end at present
         self._warned = False
         self._expert_windows = th.from_numpy(self._cut_demonstrations()).to(self.device)
-        self.discriminator = self._make_discriminator(n_features + self._absorbing)
-        self.discriminator.to(self.device)
-        self.disc_optimizer = th.optim.Adam(
-            self.discriminator.parameters(), lr=self.disc_learning_rate
-        )
+        self.discriminator = self._make_discriminator(n_features + self._absorbing).to(self.device)
+        learned, rate = self.discriminator.parameters(), self.disc_learning_rate
+        self.disc_optimizer = th.optim.Adam(learned, lr=rate)
         self._torch_rng = th.Generator().manual_seed(self.seed or 0)
 
     def _cut_demonstrations(self) -> np.ndarray:
@@ -273,13 +271,10 @@ class GAIfO(PPO):
         self, expert_windows: th.Tensor, learner_windows: th.Tensor, mixing: th.Tensor
     ) -> tuple[th.Tensor, dict[str, float]]:
         """Return the loss of one step on windows (B, W, F) each, and what to log of it."""
-        weights = {
-            "entropy_coef": self.disc_entropy_coef,
-            "gradient_penalty": self.gradient_penalty,
-        }
         return discriminator_loss(
-            self.discriminator, expert_windows, learner_windows, mixing=mixing, **weights
-        )
+            self.discriminator, expert_windows, learner_windows, mixing=mixing,
+            entropy_coef=self.disc_entropy_coef, gradient_penalty=self.gradient_penalty,
+        )  # fmt: skip
 
     def _passes(self, n: int, n_batches: int) -> tuple[th.Tensor, ...]:
         """Return ``n_batches`` equal index batches that go once through ``n`` rows at random."""
