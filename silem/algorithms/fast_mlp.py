@@ -36,10 +36,10 @@ class Batch(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """What PPO logs of one minibatch."""
+    """What PPO logs of one minibatch, under stable-baselines3's names."""
 
-    policy: float
-    value: float
+    policy_gradient_loss: float
+    value_loss: float
     approx_kl: float
     clip_fraction: float
 
@@ -167,8 +167,8 @@ class FlatActorCritic:
         error = self._critic.forward(batch.observations)[:, 0] - batch.returns
         self._critic.backward((error * (2.0 * vf_coef / size))[:, None])
         return Losses(  # sums: NumPy's mean takes longer than all of these
-            policy=-float(np.minimum(surrogate, clipped).sum() / size),
-            value=float((error**2).sum() / size),
+            policy_gradient_loss=-float(np.minimum(surrogate, clipped).sum() / size),
+            value_loss=float((error**2).sum() / size),
             approx_kl=float((ratio - 1.0 - log_ratio).sum() / size),
             clip_fraction=np.count_nonzero(np.abs(ratio - 1.0) > clip_range) / size,
         )

@@ -330,14 +330,10 @@ class PPO(SB3PPO):
         """Log what stable-baselines3's PPO does, under its names."""
         log_std, buffer = self.policy.log_std.detach().numpy(), self.rollout_buffer
         entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-        policy, value, approx_kl, clip_fraction = np.mean(losses, axis=0)
-        logged = {
+        last = losses[-1].policy_gradient_loss + self.vf_coef * losses[-1].value_loss
+        logged = dict(zip(Losses._fields, np.mean(losses, axis=0), strict=True)) | {
             "entropy_loss": -entropy,
-            "policy_gradient_loss": policy,
-            "value_loss": value,
-            "approx_kl": approx_kl,
-            "clip_fraction": clip_fraction,
-            "loss": losses[-1].policy - self.ent_coef * entropy + self.vf_coef * losses[-1].value,
+            "loss": last - self.ent_coef * entropy,
             "std": float(np.exp(log_std).mean()),
             "explained_variance": explained_variance(buffer.values.ravel(), buffer.returns.ravel()),
             "clip_range": clip_range,
