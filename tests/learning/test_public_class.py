@@ -144,6 +144,20 @@ def test_update_reaches_tensors_that_a_callback_has_put_in_place() -> None:
     assert all(not th.equal(old, p) for old, p in after)
 
 
+def test_torchs_optimizer_goes_on_in_the_twins_memory() -> None:
+    model = new().learn(120)
+    twin, before = model._fast, [p.detach().clone() for p in model.policy.parameters()]
+    assert twin is not None
+    model.clip_range_vf = lambda _: 0.2  # which stable-baselines3's own update alone can do
+    model.learn(120, reset_num_timesteps=False)
+    assert model._fast is None
+    after = list(model.policy.parameters())
+    assert all(not th.equal(a, b) for a, b in zip(before, after, strict=True))
+    flat = np.concatenate([p.detach().numpy().ravel() for p in after])
+    np.testing.assert_array_equal(twin.params, flat)
+    assert twin._steps.tolist() == [40.0] * len(after)  # 2 rollouts, 10 epochs of 2 minibatches
+
+
 class Noise(gym.Env):
     """Observes samples of a space, whatever is done."""
 
