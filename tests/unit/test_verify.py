@@ -231,6 +231,7 @@ def test_a_transform_of_other_width_than_the_demonstrations_is_told(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     record = synthetic.write_record(RunConfig.create("Humanoid", "silem", budget="tiny"))
     _, sha = demos.load_published("cmu_08_01")
+    assert "made with other demonstrations" in verify.verify(record.folder, 0).why
     rewrite(record.folder, put("demonstrations_sha256", to=sha))
     assert verify.verify(record.folder, 0).outcome == verify.SOUND
     files.write_npz(record.folder / TRANSFORM, {"A": np.ones(3), "b": np.ones(3)})
