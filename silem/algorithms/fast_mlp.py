@@ -87,7 +87,8 @@ class FlatActorCritic:
     def supports(policy: object) -> bool:
         """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam.
 
-        Observations must reach its networks as they are: from a Box, and not as images.
+        Observations must reach its networks as they are: from a Box, and not as images. It moves
+        every parameter and runs no hooks, so there may be neither frozen parameters nor hooks.
         """
         if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
             return False
@@ -100,15 +101,22 @@ class FlatActorCritic:
             and not (policy.normalize_images and is_image_space(space))
             and not any(group[name] for name in ("weight_decay", "amsgrad", "maximize"))
             and [*map(id, group["params"])] == [*map(id, parameters)]
-            and all(p.device.type == "cpu" and p.dtype == th.float32 for p in parameters)
+            and all(
+                p.requires_grad and p.device.type == "cpu" and p.dtype == th.float32
+                for p in parameters
+            )
+            and not any(m._forward_hooks or m._forward_pre_hooks for m in policy.modules())
             and type(policy.action_dist) is DiagGaussianDistribution
             and not policy.squash_output
             and type(policy.features_extractor) in (FlattenExtractor, RunningNormalizer)
             and type(hidden) is MlpExtractor
             and all(
                 type(layer) is (nn.Tanh if i % 2 else nn.Linear)
-                for net in (hidden.policy_net, hidden.value_net)
-                for i, layer in enumerate(net)
+                for net, head in (
+                    (hidden.policy_net, policy.action_net),
+                    (hidden.value_net, policy.value_net),
+                )
+                for i, layer in enumerate([*net, head])
             )
         )
 
