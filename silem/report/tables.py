@@ -8,16 +8,14 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from pandas.io.formats.style import Styler
 
 from silem import paper
 from silem.report import results, statistics, style
+from silem.report.style import number
 from silem.util import files, paths
-
-DASH = "–"
 
 
 def styled(table: pd.DataFrame, caption: str = "") -> Styler:
@@ -32,18 +30,11 @@ def styled(table: pd.DataFrame, caption: str = "") -> Styler:
     digest = hashlib.sha256((table.to_csv() + caption).encode()).hexdigest()
     look = table.style.hide(axis="index").set_uuid(digest[:10])
     look = look.set_table_attributes('class="silem-table"')
-    numeric = [name for name in table.columns if table[name].map(_is_numeric).all()]
-    look = look.set_properties(subset=numeric, **{"text-align": "right", "white-space": "nowrap"})
-    others = [name for name in table.columns if name not in numeric]
-    look = look.set_properties(subset=others, **{"text-align": "left"})
+    for name in table.columns:
+        numeric = table[name].map(_is_numeric).all()
+        place = {"text-align": "right", "white-space": "nowrap"} if numeric else {}
+        look = look.set_properties(subset=[name], **({"text-align": "left"} | place))
     return look.set_caption(caption) if caption else look
-
-
-def number(value: float | None, digits: int = 0) -> str:
-    """Write a number with a true minus; a dash where there is none."""
-    if value is None or np.isnan(value):
-        return DASH
-    return f"{value:,.{digits}f}".replace("-", "−")
 
 
 def small(text: str) -> str:
@@ -114,11 +105,11 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     The second score is against the body's best expert, who demonstrates, not against their mean.
     Runs of another number of iterations than planned stand in rows of their own.
     """
-    rows = []
+    rows, original = [], results.original_body(frame)
     upright = results.upright_label(frame).removeprefix("share of ")
     for body in results.body_names(frame):
         for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
-            label = style.method(method, results.original_body(frame)).label
+            label = style.method(method, original).label
             shown = [(label, results.cell(frame, method, body))]
             for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
                 planned = runs["planned_iterations"].iloc[0]

@@ -23,8 +23,8 @@ from PIL import Image
 
 from silem import bodies, paper
 from silem.bodies import describe
-from silem.report import claims, results, scorecard, style
-from silem.report.features import feature_names
+from silem.report import claims, results, style
+from silem.report.transforms import feature_names
 from silem.study import runs
 from silem.study.config import RunConfig
 
@@ -169,7 +169,7 @@ def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
 
 
 def found_on(body: str, frame: pd.DataFrame) -> float:
-    rows = scorecard.evaluate(frame).set_index("text")
+    rows = claims.evaluate(frame).set_index("text")
     return rows.loc[f"SILEM beats SILEM⁻ on {body}", "findings"][0].detectable
 
 
@@ -218,7 +218,7 @@ def test_scorecard(execute: Execute) -> None:
     page = execute("07_scorecard", budget="book")
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
-    verdicts = scorecard.counts(results.load_records("halfcheetah", "book"))
+    verdicts = claims.counts(results.load_records("halfcheetah", "book"))
     told = [int(spoken[key]) for key in ("n_hold", "n_fail", "n_undecided")]
     assert told == [verdicts[name] for name in (claims.HOLDS, claims.FAILS, claims.UNDECIDED)]
     assert sum(told) == int(spoken["n_claims"]) == len(claims.of("halfcheetah"))

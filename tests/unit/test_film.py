@@ -263,7 +263,7 @@ def test_without_offscreen_rendering_the_page_says_so(monkeypatch: pytest.Monkey
         raise SilemError("no offscreen rendering")
 
     shown: list[str] = []
-    monkeypatch.setattr(notebook, "_display_html", shown.append)
+    monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
     monkeypatch.setattr(film, "Camera", refuse)
     assert film.why_no_pictures("HC0") == "no offscreen rendering"
     notebook.film(lambda: pytest.fail("filmed"), "Atlas & friends")
@@ -272,7 +272,7 @@ def test_without_offscreen_rendering_the_page_says_so(monkeypatch: pytest.Monkey
 
 def test_a_film_is_played_with_controls_poster_and_words(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
-    monkeypatch.setattr(notebook, "_display_html", shown.append)
+    monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
     monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
     notebook.film(lambda: Clip(np.zeros((2, 16, 16, 3), np.uint8), 40.0), "a walk")
     for part in ("<video controls", 'aria-label="a walk"', 'poster="data:image/png', "data:video"):
