@@ -49,10 +49,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     """Draw return, discriminator reward and forward speed over timesteps, for each body.
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
-    running mean over 9 of the curve's at most 200 points. Trials are drawn up to where the
-    shortest ends; runs of another number of iterations than planned are dashed. Where all
-    runs are experts' there is no row for the discriminator. Humanoids' episodes end with a fall,
-    and a row shows when.
+    running mean, up to where the shortest ends; runs of another number of iterations than planned
+    are dashed. Experts have no row for the discriminator, humanoids one for steps before a fall.
     """
     frame = scores.runs_of("learning_curves", frame)
     names = results.body_names(frame)
@@ -87,11 +85,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
     """Draw runs of some tables over iterations: a colour per method, a dash per table.
 
-    Every run is a line of its own, whatever its number of iterations; nothing is smoothed. An
-    iteration's value is the mean over the episodes that ended in it.
-
-    Args:
-        groups: One to three tables of `results.load_records` by what to call them, all of one body.
+    Every run is a line of its own, whatever its number of iterations; nothing is smoothed. There
+    are one to three tables of one body, by what to call them.
     """
     first = next(iter(groups.values()))
     methods = {name for frame in groups.values() for name in frame["method"]}
@@ -119,11 +114,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
 
 @style.applied()
 def exploratory(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
-    """Draw exploratory runs (`pages.open_settings.load`) over iterations, a panel per quantity.
-
-    Raises:
-        SilemError: There is no such quantity.
-    """
+    """Draw exploratory runs (`pages.open_settings.load`) over iterations, a panel per quantity."""
     titles = [QUANTITIES[choose("quantity", name, QUANTITIES)][0] for name in quantities]
     height_in = 3.0 + 0.1 * len(frame)
     figure, panels = style.new_figure(height_in, ncols=len(quantities), squeeze=False)
@@ -144,9 +135,6 @@ def of_run(record: RunRecord) -> Figure:
     """Draw the learning curve of one run, a panel for each of the first quantities it knows.
 
     There are four at most, and six for a humanoid, whose episodes end with a fall.
-
-    Raises:
-        SilemError: The run has no curve, or its file is damaged.
     """
     table = pd.DataFrame(files.read_csv(record.file(CURVE)))
     # an older curve lacks the newest columns

@@ -176,9 +176,6 @@ def _order(column: pd.Series) -> pd.Series:
     return column.map(ranks.index) if ranks else column
 
 
-# ---------------------------------------------------------------- what a table holds
-
-
 def context(frame: pd.DataFrame) -> tuple[str, str]:
     """Return a table's study and budget; SilemError if it mixes budgets or is no such table."""
     if "budget" not in frame.attrs:
@@ -272,9 +269,6 @@ def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     """Tell whether a table's study has a cell, or shares another study's."""
     planned = {(cell.method, cell.body) for cell in cells(context(frame)[0])}
     return method in frame.attrs.get("shared", ()) or (method, body) in planned
-
-
-# ---------------------------------------------------------------- parts of a table
 
 
 def select(

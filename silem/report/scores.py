@@ -61,9 +61,7 @@ _HUMANOID_PANELS = {
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
     """Return the runs that a figure, named by its function, shows: those and no others.
 
-    Raises:
-        SilemError: There is no such figure, its bodies are not the study's, or the table mixes
-            budgets.
+    SilemError if its bodies are not the study's, or the table mixes budgets.
     """
     methods, names = _SHOWN[choose("figure", figure, _SHOWN)]
     study, _ = results.context(frame)
@@ -84,17 +82,12 @@ def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = 
     style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)
 
 
-# ---------------------------------------------------------------- the figures
-
-
 @style.applied()
 def normalised_scores(frame: pd.DataFrame) -> Figure:
     """Draw Figure 2b, and whether a score is a gait.
 
-    Left, as in the paper, minimum, mean and maximum over trials of the normalised score, with the
-    trials as dots and, at five trials and more, Student's interval of the mean. Right the forward
-    speed of the same trials and of the experts: where the expert only stands, a score of 1 is
-    standing. A single trial is hollow, a cell without runs an empty slot.
+    Left, as in the paper, the normalised scores, right the forward speed of the same trials and of
+    the experts: where the expert only stands, a score of 1 is standing.
     """
     frame = runs_of("normalised_scores", frame)
     everyone, level = [*IMITATORS, "ppo"], paper.number("expert_level")
@@ -125,11 +118,9 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
 def humanoid_scores(frame: pd.DataFrame) -> Figure:
     """Draw Figure 3b: the true return of SILEM, SILEM⁻, TPIL and Peng20 on every humanoid.
 
-    Above as in the paper: minimum, mean and maximum over trials of the walking reward, not
-    normalised, at most 1000. Below what that number hides: how much of an episode passes before
-    the body falls, and how fast it moves. Dashed levels are PPO on the true reward. A run of
-    another number of iterations than planned is a cross, with that number under its cell; crosses
-    enter no mean.
+    Above as in the paper the walking reward, not normalised, at most 1000. Below what that number
+    hides: how much of an episode passes before the body falls, and how fast it moves. Dashed levels
+    are PPO on the true reward.
     """
     frame = runs_of("humanoid_scores", frame)
     figure = Figure(figsize=(style.WIDTH_IN, 5.6), layout="constrained")
@@ -172,8 +163,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
 def experts(frame: pd.DataFrame) -> Figure:
     """Draw the PPO experts beside the random policy: return, forward speed and time upright.
 
-    The speed tells what a return means: a body that only stands collects the alive bonus. Amber
-    marks are the paper's: its two numbers for HC0, or the humanoids' highest possible return.
+    Amber marks are the paper's: its two numbers for HC0, or the humanoids' highest possible return.
     """
     frame = runs_of("experts", frame)
     methods = ("ppo", "random")
@@ -203,11 +193,7 @@ def experts(frame: pd.DataFrame) -> Figure:
 
 @style.applied()
 def affine_or_mlp(frame: pd.DataFrame) -> Figure:
-    """Draw Table 1 trial by trial: the discriminator's reward against the true return on HC0.
-
-    Where f is an MLP the paper finds a high discriminator reward with a poor return: the MLP
-    makes bad states look like the expert's.
-    """
+    """Draw Table 1 trial by trial: the discriminator's reward against the true return on HC0."""
     frame = runs_of("affine_or_mlp", frame)
     mlp, affine = paper.table("tab1").rows
     figure, axes = style.new_figure(3.4, width_in=5.6)
@@ -239,9 +225,6 @@ def affine_or_mlp(frame: pd.DataFrame) -> Figure:
     figure.legend(handles=handles, loc="outside upper left", ncols=3)
     footer(figure, frame)
     return figure
-
-
-# ---------------------------------------------------------------- cells
 
 
 def _draw_cells(

@@ -30,10 +30,10 @@ def styled(table: pd.DataFrame, caption: str = "") -> Styler:
     digest = hashlib.sha256((table.to_csv() + caption).encode()).hexdigest()
     look = table.style.hide(axis="index").set_uuid(digest[:10])
     look = look.set_table_attributes('class="silem-table"')
-    for name in table.columns:
-        numeric = table[name].map(_is_numeric).all()
-        place = {"text-align": "right", "white-space": "nowrap"} if numeric else {}
-        look = look.set_properties(subset=[name], **({"text-align": "left"} | place))
+    numeric = [name for name in table.columns if table[name].map(_is_numeric).all()]
+    look = look.set_properties(subset=numeric, **{"text-align": "right", "white-space": "nowrap"})
+    others = [name for name in table.columns if name not in numeric]
+    look = look.set_properties(subset=others, **{"text-align": "left"})
     return look.set_caption(caption) if caption else look
 
 

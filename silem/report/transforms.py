@@ -48,8 +48,7 @@ class Group(NamedTuple):
 def feature_names(body: str) -> list[str]:
     """Name a body's skeletal features, in their order.
 
-    A PyBullet body's are its observation (g is the identity, see
-    `silem.envs.bullet.task.LocomotionTask`), a humanoid's `silem.motion.features.FEATURES`.
+    A PyBullet body's are its observation (g is the identity), a humanoid's `FEATURES`.
     """
     if not isinstance(bodies.get(body), BulletBody):
         return [feature.label for feature in FEATURES]
@@ -95,18 +94,11 @@ def _humanoid_groups() -> list[Group]:
     ]
 
 
-# ---------------------------------------------------------------- figures
-
-
 @style.applied()
 def by_feature(frame: pd.DataFrame) -> Figure:
     """Draw the affine transforms that were learned: A's diagonal and b, for each feature.
 
-    One row per named feature: a small mark per trial, a large one for the trials' mean. An
-    untrained transform has A = 1 and b = 0.
-
-    Raises:
-        SilemError: Some transform has not as many entries as its body has features.
+    One row per named feature: a small mark per trial, a large one for the trials' mean.
     """
     frame = scores.runs_of("by_feature", frame)
     names, handles = results.body_names(frame), []
@@ -133,11 +125,7 @@ def by_feature(frame: pd.DataFrame) -> Figure:
 
 @style.applied()
 def of_run(record: RunRecord) -> Figure:
-    """Draw the affine transform that one run learned, feature by feature.
-
-    Raises:
-        SilemError: The run learned no affine transform, or its file is damaged.
-    """
+    """Draw the affine transform that one run learned, feature by feature."""
     arrays, body = files.read_npz(record.file(TRANSFORM)), record.config["body"]
     rows, color = np.arange(len(feature_names(body))), style.method("silem").color
     figure, panels = _sheet(body, 0.21 * len(rows) + 1.0)
@@ -155,16 +143,9 @@ def figure_4(frame: pd.DataFrame, which: str) -> Figure:
     """Draw Figure 4a or 4b: A or b of Humanoid's and HumanoidR's best policies, by feature.
 
     A thin line is a policy, a thick one their mean; lines join the features of one group. Thick
-    gridlines stand under the features of the arms, which HumanoidR's asymmetry touches. x is
-    forward, y left and z up. A run of another number of iterations than planned
-    is dashed and enters no mean.
-
-    Args:
-        frame: Runs of the study of the humanoids at one budget.
-        which: "scale" (A, Figure 4a) or "offset" (b, Figure 4b).
-
-    Raises:
-        SilemError: Another `which`, runs of other bodies, or a transform of another length.
+    gridlines stand under the features of the arms, which HumanoidR's asymmetry touches. A run of
+    another number of iterations than planned is dashed and enters no mean. `which` is "scale" (A,
+    Figure 4a) or "offset" (b, Figure 4b).
     """
     entry, neutral, title = _ENTRIES[choose("part of the transform", which, _ENTRIES)]
     frame = scores.runs_of("figure_4", frame)

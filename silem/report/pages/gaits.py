@@ -22,10 +22,12 @@ from silem.report import film, results, scores, style, tables
 from silem.report.style import number
 from silem.report.transforms import Group, feature_groups
 from silem.study import demonstrate, runs
+from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import demonstrator, experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.study.settings import expert_of
+from silem.study.studies import cells
 from silem.util.errors import SilemError, choose
 
 _METHODS = ("silem", "silem-minus")
@@ -33,6 +35,10 @@ _PICTURE = (320, 240)  # pixels of one clip in a grid
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
+_UNLIKE = {
+    "clip_actions": "Actions handed on as they are, not clipped",
+    "anneal_clip": "A clip range that falls with the learning rate",
+}
 
 
 class ExpertGait(NamedTuple):
@@ -116,6 +122,22 @@ def chosen(body: str, budget: str) -> tuple[str, str]:
         f"The demonstrator is trial {record.config['seed']}: of the"
         f" {len(experts(body, budget))} experts it has the highest evaluation return, {value}."
     )
+
+
+def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
+    """Say, of what the experts' PPO does unlike ppo1, what HC0's expert returns without it."""
+    usual = results.cell(records, "ppo", "HC0")["return_mean"]
+    span = f"{number(usual.min())} to {number(usual.max())} ({style.trials(len(usual))})"
+    lines = []
+    for cell in (cell for cell in cells("fidelity") if cell.body == "HC0"):
+        ((name, _),) = cell.overrides
+        run = runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id)
+        told = "not run yet"
+        if run is not None:
+            found = run.evaluation
+            told = f"{number(found['return_mean'])} at {number(found['speed_m_s'], 2)} m/s"
+        lines.append(f"- **{_UNLIKE[name]}**: {told}; otherwise {span}.")
+    return "\n".join(lines)
 
 
 def table(shown: Shown, demonstrator_name: str) -> Styler:

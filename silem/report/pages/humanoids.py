@@ -92,9 +92,6 @@ def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
     return figure
 
 
-# ---------------------------------------------------------------- measures
-
-
 def posed(
     body: MujocoBody, qpos: Sequence[float] | None = None
 ) -> tuple[mujoco.MjData, np.ndarray]:
@@ -222,9 +219,6 @@ def _printed_m(part: str) -> dict[str, float]:
     return dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True))
 
 
-# ---------------------------------------------------------------- the reward
-
-
 @style.applied()
 def reward_factors() -> Figure:
     """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
@@ -264,9 +258,6 @@ def _rewards(
     actions = np.zeros((_N, 1)) + np.reshape(state["torque"], (-1, 1))
     reading = walking.Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
     return walking.rewards(reading, actions, body.standing_head_m, target_m_s)
-
-
-# ---------------------------------------------------------------- falls
 
 
 def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) -> film.Clip:
