@@ -10,11 +10,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from silem import bodies
 from silem.report import results, scores, style
-from silem.study.record import CURVE, RunRecord
+from silem.study.record import CURVE, CURVE_COLUMNS, RunRecord
 from silem.util import files
 from silem.util.errors import choose
 
@@ -29,19 +29,17 @@ QUANTITIES = {
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)))
 _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
-# One run's panels: title, the columns, and each line's label.
-_ONE_RUN: tuple[tuple[str, dict[str, str]], ...] = (
-    ("return of an episode", {"return_mean": ""}),
-    ("steps before a fall", {"episode_length": ""}),
-    ("forward speed (m/s)", {"speed_m_s": ""}),
-    ("discriminator reward of an episode", {"disc_reward": ""}),
-    (
-        "discriminator accuracy",
-        {"disc_acc_expert": "on expert windows", "disc_acc_learner": "on learner windows"},
-    ),
-    ("policy's standard deviation", {"policy_std": ""}),
-)
-_ALWAYS = ("return of an episode", "forward speed (m/s)")
+_ACCURACY = "disc_acc_expert"
+_ALWAYS = ("return_mean", "speed_m_s")
+_ONE_RUN = {
+    "return_mean": "return of an episode",
+    "episode_length": "steps before a fall",
+    "speed_m_s": "forward speed (m/s)",
+    "disc_reward": "discriminator reward of an episode",
+    _ACCURACY: "discriminator accuracy",
+    "policy_std": "policy's standard deviation",
+}
+"""One run's panels."""
 
 
 @style.applied()
@@ -88,21 +86,14 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
     Every run is a line of its own, whatever its number of iterations; nothing is smoothed. There
     are one to three tables of one body, by what to call them.
     """
-    first = next(iter(groups.values()))
+    first, lines = next(iter(groups.values())), []
+    for dashes, frame in zip(_DASHES, groups.values(), strict=False):
+        for run in frame[frame["n_steps"] > 0].itertuples():
+            look = {"color": style.method(run.method).color, "ls": dashes, "lw": 1.6}
+            lines.append((results.load_curve(run.run_id), look))
+    panels = {name: title.capitalize() for name, (title, _) in QUANTITIES.items()}
+    figure, _ = _draw_panels(panels, lines, height_in=4.6, n_columns=2)
     methods = {name for frame in groups.values() for name in frame["method"]}
-    figure, grid = style.new_figure(4.6, nrows=2, ncols=2, sharex=True)
-    for axes, (quantity, (title, _)) in zip(grid.flat, QUANTITIES.items(), strict=True):
-        axes.set_title(title.capitalize())
-        for dashes, frame in zip(_DASHES, groups.values(), strict=False):
-            for run in frame[frame["n_steps"] > 0].itertuples():
-                curve = results.load_curve(run.run_id)[["iteration", quantity]].dropna()
-                look: dict[str, Any] = {"color": style.method(run.method).color, "ls": dashes}
-                axes.plot(curve["iteration"], curve[quantity], lw=1.6, **look)
-        if not axes.lines:
-            axes.set(xticks=[], yticks=[])
-            style.say(axes, "no run")
-    for axes in grid[1]:
-        axes.set_xlabel("iteration")
     handles = _handles([name for name in style.METHODS if name in methods], first)
     for (name, frame), dashes in zip(groups.items(), _DASHES, strict=False):
         label = f"{name}: {style.trials(len(frame))}"
@@ -115,16 +106,14 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
 @style.applied()
 def exploratory(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
     """Draw exploratory runs (`pages.open_settings.load`) over iterations, a panel per quantity."""
-    titles = [QUANTITIES[choose("quantity", name, QUANTITIES)][0] for name in quantities]
+    panels = {name: QUANTITIES[choose("quantity", name, QUANTITIES)][0] for name in quantities}
+    lines = []
+    for index, run in enumerate(frame.itertuples()):
+        look = {"color": f"C{index % 10}", "ls": ("-", (0, (5, 2)))[index // 10 % 2], "lw": 1.3}
+        lines.append((run.curve, look | {"label": run.name}))
     height_in = 3.0 + 0.1 * len(frame)
-    figure, panels = style.new_figure(height_in, ncols=len(quantities), squeeze=False)
-    for axes, quantity, title in zip(panels[0], quantities, titles, strict=True):
-        for index, run in enumerate(frame.itertuples()):
-            known = run.curve[["iteration", quantity]].dropna()
-            look = {"color": f"C{index % 10}", "ls": ("-", (0, (5, 2)))[index // 10 % 2]}
-            axes.plot(known["iteration"], known[quantity], lw=1.3, label=run.name, **look)
-        axes.set(title=title, xlabel="iteration")
-    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure, grid = _draw_panels(panels, lines, height_in=height_in, n_columns=len(panels))
+    handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=3, fontsize=8)
     style.footer(figure, f"{len(frame)} exploratory runs, one seed each; not evidence")
     return figure
@@ -136,28 +125,58 @@ def of_run(record: RunRecord) -> Figure:
 
     There are four at most, and six for a humanoid, whose episodes end with a fall.
     """
-    table = pd.DataFrame(files.read_csv(record.file(CURVE)))
-    # an older curve lacks the newest columns
-    known = {name for name in table if table[name].notna().any()}
+    curve = pd.DataFrame(files.read_csv(record.file(CURVE))).reindex(columns=CURVE_COLUMNS)
+    known = {name for name in curve if curve[name].notna().any()}
     if bodies.get(record.config["body"]).engine == "bullet":  # nobody falls
         known.discard("episode_length")
-    panels = [panel for panel in _ONE_RUN if panel[0] in _ALWAYS or known & panel[1].keys()]
-    panels = panels[: 6 if "episode_length" in known else 4]
+    shown = [name for name in _ONE_RUN if name in _ALWAYS or name in known]
+    panels = {name: _ONE_RUN[name] for name in shown[: 6 if "episode_length" in known else 4]}
+    marker = "o" if len(curve) < 12 else ""
+    lines = [(curve, {"color": style.INK, "marker": marker, "ms": 3.5})]
     n_columns = 3 if len(panels) == 3 else 2
-    n_rows = -(-len(panels) // n_columns)
-    figure, grid = style.new_figure(
-        2.0 * n_rows + 0.4, nrows=n_rows, ncols=n_columns, sharex=True, squeeze=False
-    )
-    for axes in grid.flat[len(panels) :]:
-        axes.set_axis_off()
-    for axes, (title, lines) in zip(grid.flat, panels, strict=False):
-        axes.set_title(title)
-        _draw_lines(axes, table, lines)
-    for axes in grid.flat[len(panels) - n_columns : len(panels)]:
-        axes.set_xlabel("timesteps")
-        axes.tick_params(labelbottom=True)
+    figure, grid = _draw_panels(
+        panels, lines, height_in=2.0 * -(-len(panels) // n_columns) + 0.4, n_columns=n_columns,
+        word="no episode ended during training",
+    )  # fmt: skip
+    if _ACCURACY in panels:
+        axes, color = grid[list(panels).index(_ACCURACY)], style.method("silem").color
+        axes.plot(curve["iteration"], curve["disc_acc_learner"], color=color)
+        axes.set_ylim(0, 1.05)
+        axes.legend(axes.lines, ["on expert windows", "on learner windows"], loc="lower right")
     style.footer(figure, record.run_id)
     return figure
+
+
+def _draw_panels(
+    panels: Mapping[str, str],
+    lines: Sequence[tuple[pd.DataFrame, dict[str, Any]]],
+    *,
+    height_in: float,
+    n_columns: int,
+    word: str = "no run",
+) -> tuple[Figure, list[Axes]]:
+    """Draw columns of some curves over iterations, each in a panel with its title."""
+    size: dict[str, Any] = {"nrows": -(-len(panels) // n_columns), "ncols": n_columns}
+    figure, grid = style.new_figure(height_in, sharex=True, squeeze=False, **size)
+    shown, empty = list(grid.flat)[: len(panels)], list(grid.flat)[len(panels) :]
+    for axes, (column, title) in zip(shown, panels.items(), strict=True):
+        axes.set_title(title)
+        for curve, look in lines:
+            known = curve[["iteration", column]].dropna()
+            if len(known):
+                axes.plot(known["iteration"], known[column], **look)
+        axes.ticklabel_format(axis="y", useOffset=False)
+        if not axes.lines:
+            axes.set_yticks([])
+            style.say(axes, word)
+    for axes in shown[-n_columns:]:
+        axes.set_xlabel("iteration")
+        axes.tick_params(labelbottom=True)
+    for axes in empty:
+        axes.set_axis_off()
+    if not any(axes.lines for axes in shown):
+        shown[0].set_xticks([])  # a scale without a curve means nothing
+    return figure, shown
 
 
 def _handles(methods: Sequence[str], frame: pd.DataFrame) -> list[Line2D]:
@@ -211,26 +230,3 @@ def _draw_mean(
     if len(values) > 1:
         span = np.min(values, axis=0), np.max(values, axis=0)
         axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
-
-
-def _draw_lines(axes: Axes, table: pd.DataFrame, lines: dict[str, str]) -> None:
-    colors = style.INK, style.method("silem").color
-    for color, (column, label) in zip(colors, lines.items(), strict=False):
-        known = table.reindex(columns=["timesteps", column]).dropna()
-        if known.empty:
-            words: dict[str, Any] = {"ha": "center", "va": "center", "color": style.MUTED}
-            place = axes.transAxes
-            axes.text(0.5, 0.5, "no episode ended during training", transform=place, **words)
-            axes.set_yticks([])
-            continue
-        marker = "o" if len(known) < 12 else ""
-        look: dict[str, Any] = {"marker": marker, "ms": 3.5, "color": color, "label": label}
-        axes.plot(known["timesteps"], known[column], **look)
-        axes.ticklabel_format(axis="y", useOffset=False)
-        axes.yaxis.set_major_locator(MaxNLocator(5))
-    if any(lines.values()):
-        axes.set_ylim(0, 1.05)
-        axes.legend(loc="lower right")
-    axes.set_xlim(0, table["timesteps"].iloc[-1] * 1.03)
-    axes.xaxis.set_major_formatter(EngFormatter())
-    axes.xaxis.set_major_locator(MaxNLocator(5))

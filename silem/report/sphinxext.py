@@ -136,23 +136,15 @@ def settings() -> Table:
 
 def budgets() -> Table:
     """Return the budgets: how much each spends on a run."""
-    head: tuple[str, ...] = (
-        "Budget",
-        "Environments",
-        "Steps per iteration",
-        "Iterations",
-        "Trials",
-    )
+    names = "Environments", "Steps per iteration", "Iterations", "Trials", "Evaluation episodes"
     rows = []
     for budget in BUDGETS.values():
         iterations, walking = budget.n_iterations, of_family(budget, "humanoid").n_iterations
         more = f"; humanoids {as_text(walking)}" if walking != iterations else ""
         spent = budget.n_envs, budget.steps_per_iteration, iterations, budget.n_trials
-        row = [f"`{budget.name}`", *map(as_text, spent), as_text(budget.n_eval_episodes)]
+        row = [f"`{budget.name}`", *map(as_text, (*spent, budget.n_eval_episodes))]
         rows.append([*row[:3], row[3] + more, *row[4:]])
-    return Table(
-        "budgets", "What each budget spends on a run.", [*head, "Evaluation episodes"], rows
-    )
+    return Table("budgets", "What each budget spends on a run.", ["Budget", *names], rows)
 
 
 TABLES: dict[str, Callable[..., Table]] = {
