@@ -214,9 +214,8 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for run in ordered.to_dict("records"):
         told = {"body": run["body"], "method": _label(run["body"], run["method"])}
-        row = {"run": run["name"].replace("_", "_<wbr>")} | {
-            n: v for n, v in told.items() if frame[n].nunique() > 1
-        }
+        row = {"run": run["name"].replace("_", "_<wbr>")}
+        row |= {name: value for name, value in told.items() if frame[name].nunique() > 1}
         row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in QUANTITIES.items():
