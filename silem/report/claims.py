@@ -331,11 +331,7 @@ def of(study: str) -> tuple[Claim, ...]:
 
 
 def evaluate(frame: pd.DataFrame, study: str = "") -> pd.DataFrame:
-    """Judge the claims about a study, by default the table's own, by its runs at one budget.
-
-    Returns:
-        One row per claim: ``claim``, ``text``, ``findings``, ``verdict``, ``reason``.
-    """
+    """Judge the claims about a study, by default the table's own: a row each, with its verdict."""
     judged = of(study or results.context(frame)[0])
     rows = [(claim, claim.text, *claim.judge(frame)) for claim in judged]
     return pd.DataFrame(rows, columns=["claim", "text", "findings", "verdict", "reason"])

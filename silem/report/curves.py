@@ -81,11 +81,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
 @style.applied()
 def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
-    """Draw runs of some tables over iterations: a colour per method, a dash per table.
-
-    Every run is a line of its own, whatever its number of iterations; nothing is smoothed. There
-    are one to three tables of one body, by what to call them.
-    """
+    """Draw every run of one to three tables, by name, over iterations: a dash per table."""
     first, lines = next(iter(groups.values())), []
     for dashes, frame in zip(_DASHES, groups.values(), strict=False):
         for run in frame[frame["n_steps"] > 0].itertuples():
@@ -121,10 +117,7 @@ def exploratory(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
 
 @style.applied()
 def of_run(record: RunRecord) -> Figure:
-    """Draw the learning curve of one run, a panel for each of the first quantities it knows.
-
-    There are four at most, and six for a humanoid, whose episodes end with a fall.
-    """
+    """Draw one run's curve: the first four quantities that it knows, of a humanoid six."""
     curve = pd.DataFrame(files.read_csv(record.file(CURVE))).reindex(columns=CURVE_COLUMNS)
     known = {name for name in curve if curve[name].notna().any()}
     if bodies.get(record.config["body"]).engine == "bullet":  # nobody falls

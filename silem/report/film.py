@@ -120,10 +120,7 @@ def motion(
     duration_s: float = math.inf,
     size: Size = SIZE,
 ) -> Clip:
-    """Film a humanoid posed along the start of a motion, in real time; no physics acts.
-
-    Of `qpos` (T, nq), with `rate_hz` poses a second, every other one is shown.
-    """
+    """Film every other one of a humanoid's poses, (T, nq), in real time; no physics acts."""
     if not duration_s > 0:
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
@@ -149,10 +146,7 @@ def man() -> MujocoBody:
 
 
 def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
-    """Picture (H, W, 3) a body at rest: a humanoid standing, a runner's joints as near zero.
-
-    The camera fits the body, or sees `span_m` metres of width at a runner.
-    """
+    """Picture (H, W, 3) a body at rest, fitted to it or, of a runner, `span_m` metres wide."""
     found = bodies.get(body) if isinstance(body, str) else body
     if isinstance(found, MujocoBody) and span_m is not None:
         raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
@@ -212,10 +206,7 @@ def _labelled(clip: Clip, label: str, size: float) -> Clip:
 
 
 def strip(clip: Clip, n_frames: int = 5) -> np.ndarray:
-    """Lay equally spaced frames of a clip side by side, from first to last: a film on paper.
-
-    Of a clip with fewer frames than asked for, all are shown.
-    """
+    """Lay equally spaced frames of a clip side by side, at most all: a film on paper."""
     chosen = np.linspace(0, len(clip.frames) - 1, min(n_frames, len(clip.frames)))
     whole = Image.fromarray(np.concatenate(list(clip.frames[chosen.round().astype(int)]), axis=1))
     height = max(1, round(whole.height * _STRIP_WIDTH / whole.width))

@@ -112,11 +112,7 @@ def _describe(allowed: type | Sequence[str]) -> str:
 
 
 def show(figure: Figure) -> None:
-    """Display a figure as vector graphics; the same figure always gives the same bytes.
-
-    The runs it was drawn from follow in a cell of their own, by `results.trace`:
-    a captioned cell may have one output only.
-    """
+    """Display a figure as vector graphics; the same figure always gives the same bytes."""
     display(SVG(style.svg(figure)))
 
 

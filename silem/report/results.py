@@ -87,10 +87,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
 
 
 def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
-    """Return a study's runs with the paper's loss for D; None where no study plans any.
-
-    Experts and the random policy, which have no discriminator, are the same runs in both.
-    """
+    """Return a study's runs with the paper's loss for D, where it has any, and those without D."""
     study, budget = context(frame)
     if study not in PAPER_LOSS:
         return None
@@ -117,10 +114,7 @@ def _is_copy(config: RunConfig) -> bool:
 
 
 def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
-    """Return the planned run that a run is, whatever its number of iterations; None for others.
-
-    Where runs are no evidence, their seeds need not be planned.
-    """
+    """Return the plan of a run of any number of iterations, of any seed where it is no evidence."""
     for plan in plans:
         if (plan.method, plan.body) == (config.method, config.body):
             if not plan.budget.is_evidence:
@@ -278,10 +272,7 @@ def select(
     *,
     with_stand_ins: bool = True,
 ) -> pd.DataFrame:
-    """Keep some methods' runs, and some bodies' (None: all), in the order in which they are shown.
-
-    The missing runs are narrowed alike.
-    """
+    """Keep some methods' runs, and some bodies' (None: all), and so of the missing runs."""
     shown = list(names or body_names(frame))
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
     narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
@@ -307,10 +298,7 @@ def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalise
 
 
 def against_best(frame: pd.DataFrame, method: str, body: str) -> np.ndarray:
-    """Return one cell's returns over the return of the body's best expert, which demonstrates.
-
-    Empty where there is no expert whose return is above zero.
-    """
+    """Return one cell's returns over the best expert's of the body; empty where none is above 0."""
     best = scores(frame, "ppo", body, "return_mean").max(initial=0.0)
     return scores(frame, method, body, "return_mean") / best if best > 0 else np.empty(0)
 

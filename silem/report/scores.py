@@ -59,10 +59,7 @@ _HUMANOID_PANELS = {
 
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs that a figure, named by its function, shows: those and no others.
-
-    SilemError if its bodies are not the study's, or the table mixes budgets.
-    """
+    """Return the runs that a figure, named by its function, shows: those and no others."""
     methods, names = _SHOWN[choose("figure", figure, _SHOWN)]
     study, _ = results.context(frame)
     if names and not set(names) <= (known := set(results.body_names(frame))):
@@ -161,10 +158,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
 
 @style.applied()
 def experts(frame: pd.DataFrame) -> Figure:
-    """Draw the PPO experts beside the random policy: return, forward speed and time upright.
-
-    Amber marks are the paper's: its two numbers for HC0, or the humanoids' highest possible return.
-    """
+    """Draw the experts beside the random policy, and in amber the paper's own numbers."""
     frame = runs_of("experts", frame)
     methods = ("ppo", "random")
     titles = {

@@ -19,10 +19,7 @@ from silem.util import files, paths
 
 
 def styled(table: pd.DataFrame, caption: str = "") -> Styler:
-    """Return a table of texts in this project's look; the same table gives the same HTML.
-
-    Columns that are named by two words get two rows of headings.
-    """
+    """Return texts in this project's look; columns named by two words get two rows of headings."""
     if isinstance(table.columns[0], tuple):
         table = table.set_axis(pd.MultiIndex.from_tuples(table.columns), axis="columns")
     # The id that ties a table to its own styles comes from its content, so that it never changes
@@ -56,10 +53,7 @@ def _mean(values: ArrayLike, digits: int = 0, unit: str = "", *, spread: bool = 
 
 
 def table_1(frame: pd.DataFrame) -> Styler:
-    """Return Table 1, ours beside the paper's: f an MLP or an affine transform, on HC0.
-
-    Ours are means over trials, with the lowest and highest trial behind them.
-    """
+    """Return Table 1, ours beside the paper's: f an MLP or an affine transform, on HC0."""
     rows = []
     for method, printed in zip(("silem-mlp", "silem"), paper.table("tab1").rows, strict=True):
         runs = results.cell(frame, method, "HC0")
@@ -74,10 +68,7 @@ def table_1(frame: pd.DataFrame) -> Styler:
 
 
 def random_policies() -> Styler:
-    """Return what each reading of "a random policy" returns on HC0, beside the paper's number.
-
-    The returns were measured by ``python -m benchmarks.random_policy``.
-    """
+    """Return what each reading of a random policy returns (`benchmarks.random_policy`)."""
     rows = {"the paper's": number(paper.number("random_return"))}
     for entry in files.read_json(paths.REPO / "data" / "random_policy.json"):
         returns = pd.Series(entry["returns"])

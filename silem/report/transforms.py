@@ -46,10 +46,7 @@ class Group(NamedTuple):
 
 
 def feature_names(body: str) -> list[str]:
-    """Name a body's skeletal features, in their order.
-
-    A PyBullet body's are its observation (g is the identity), a humanoid's `FEATURES`.
-    """
+    """Name a body's features in their order: a PyBullet body's observation, or `FEATURES`."""
     if not isinstance(bodies.get(body), BulletBody):
         return [feature.label for feature in FEATURES]
     names: dict[int, str] = {}
@@ -96,10 +93,7 @@ def _humanoid_groups() -> list[Group]:
 
 @style.applied()
 def by_feature(frame: pd.DataFrame) -> Figure:
-    """Draw the affine transforms that were learned: A's diagonal and b, for each feature.
-
-    One row per named feature: a small mark per trial, a large one for the trials' mean.
-    """
+    """Draw A's diagonal and b by feature: small marks are trials, large ones their means."""
     frame = scores.runs_of("by_feature", frame)
     names, handles = results.body_names(frame), []
     figure, panels = _sheet(names[0], 6.4)

@@ -124,11 +124,7 @@ def poses(motion: Motion) -> Figure:
 
 @style.applied()
 def features(motion: Motion) -> Figure:
-    """Draw every skeletal feature over time with its unit, left and right in one panel.
-
-    While a foot stands (`silem.motion.retargeting.standing_feet`), the panels are shaded in its
-    side's colour.
-    """
+    """Draw every feature over time, left and right in one panel, shaded while a foot stands."""
     columns = {feature.name: column for column, feature in enumerate(FEATURES)}
     time_s = np.arange(len(motion.features)) / motion.rate_hz
     stances = list(_stances(motion))

@@ -141,10 +141,7 @@ def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
 
 
 def table(shown: Shown, demonstrator_name: str) -> Styler:
-    """Return the gaits as a table, a row for each trial; the demonstrator's is marked.
-
-    Returns and failures are those of the run's evaluation, the rest of the recorded episodes.
-    """
+    """Return the trials' gaits: return and failures as evaluated, the rest as recorded."""
     rows = []
     for name, found in shown.items():
         mark = " (chosen)" if name == demonstrator_name else ""

@@ -58,10 +58,7 @@ _N = 201  # points of a curve
 
 @style.applied()
 def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
-    """Draw Figure 3a: the demonstrator's walk, and below it the bodies that learn from it.
-
-    Strokes on the floor are a metre apart along x, the way that he walks.
-    """
+    """Draw Figure 3a: the demonstrator's walk on strokes a metre apart, the learners below it."""
     points = motion.points
     right = np.array([np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD), 0.0])
     seen = points @ np.stack([right, [0.0, 0.0, 1.0]], axis=1)  # to the right and up, (T, P, 2)
@@ -190,10 +187,7 @@ def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
 
 
 def gaps() -> dict[str, float]:
-    """Return by how much learners' limb distances differ from the demonstrator's, in m.
-
-    They go by ``paper_feet_Humanoid``, ``our_hand_Atlas`` and so on: the paper's numbers and ours.
-    """
+    """Return by how much limb distances differ from the demonstrator's: "our_hand_Atlas"."""
     found, differences = limb_distances(), {}
     for part, limb in _LIMBS.items():
         ours = {n: (d[f"left_{limb}"] + d[f"right_{limb}"]) / 2 for n, d in found.items()}
@@ -221,10 +215,7 @@ def _printed_m(part: str) -> dict[str, float]:
 
 @style.applied()
 def reward_factors() -> Figure:
-    """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
-
-    The curves are computed by the environments' own `silem.envs.mujoco.task.rewards`.
-    """
+    """Draw the factors of the environments' own reward, each with the others at their best."""
     body = bodies.of_kind("Humanoid", MujocoBody)
     head_m = np.linspace(0.0, 1.2 * body.standing_head_m, _N)
     tilt_rad = np.linspace(0.0, np.pi, _N)

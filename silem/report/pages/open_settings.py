@@ -108,10 +108,7 @@ def says(frame: pd.DataFrame) -> str:
 
 
 def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
-    """Return how far T's entries can go: Adam's steps are about as long as its rate.
-
-    The rate is multiplied by d after each iteration, and an iteration makes N_G steps.
-    """
+    """Return how far T's entries can go: Adam's steps are about as long as its rate."""
     iterations = np.arange(n_iterations)
     rates = hyper.transform_learning_rate * hyper.transform_lr_decay**iterations
     return float(hyper.n_transform_updates * rates.sum())
@@ -158,10 +155,7 @@ def travel_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
-    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text.
-
-    The runs are those of the studies "halfcheetah" and "no-gradient-penalty" at one budget.
-    """
+    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
     rows = []
     for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
         for penalty, frame in (("yes", penalised), ("no", unpenalised)):

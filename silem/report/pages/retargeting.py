@@ -51,10 +51,7 @@ _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 
 
 def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> film.Clip:
-    """Film the start of the demonstrator's motion, and it on other bodies, side by side.
-
-    No physics acts: each body is put into one pose after the other.
-    """
+    """Film the start of the demonstrator's motion, and it on other bodies; no physics acts."""
     walks = {"the man": (film.man(), human.qpos)}
     walks |= {result.body: (learner(result.body), result.qpos) for result in results}
     clips = {
@@ -66,10 +63,7 @@ def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> fil
 
 @style.applied()
 def poses(human: Motion, result: IKResult) -> Figure:
-    """Draw poses of the demonstrator and of a learner with its hands' targets, seen from the right.
-
-    A ring around each target has the tolerance as its radius: a hand outside it has not arrived.
-    """
+    """Draw poses of the man and of a learner, a ring of the tolerance where its hands should be."""
     states = demonstration.equal_times(len(human.points), _N_POSES)
     walks = {"the man": human.points, result.body: result.points}
     seen = demonstration.from_the_right(np.concatenate(list(walks.values())))
@@ -208,10 +202,7 @@ def foot_skates(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
 
 
 def starts(results: Sequence[IKResult]) -> pd.DataFrame:
-    """Return what a SILEM run's body changes in the retargeted states to start from them.
-
-    That is in how many of them a joint is put to its limit, how far, and the lift, at most.
-    """
+    """Return what a SILEM run's body changes in the retargeted states to start from them."""
     rows = []
     for result in results:
         body = body_of(RunConfig.create(result.body, "silem").learner)

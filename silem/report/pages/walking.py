@@ -62,10 +62,7 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return, as text, how the policies of some tables of runs move, a row per cell.
-
-    Tables go by what to call them; of a single one the name is left out.
-    """
+    """Return, as text, how the policies of some tables of runs, by name, move: a row per cell."""
     rows = [
         {
             "body": found.body,
@@ -105,10 +102,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
 
 
 def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> dict[str, float]:
-    """Return one cell's numbers, ``<name>_steps``, ``_share`` and ``_iterations``.
-
-    They are means over its trials, over stand-ins where none is finished, and NaN without any run.
-    """
+    """Return one cell's numbers, ``<name>_steps`` and so on: means, of stand-ins if need be."""
     runs = results.cell(frame, method, body)
     runs = runs if len(runs) else results.stand_ins(frame, method, body)
     return {
