@@ -21,6 +21,7 @@ import numpy as np
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
+from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 import silem
@@ -63,6 +64,9 @@ class Clip:
         """Length in seconds."""
         return len(self.frames) / self.frames_per_s
 
+    def _ipython_display_(self) -> None:
+        """As the last value of a cell it prints nothing: `notebook.play` has shown it."""
+
 
 def rollout(
     body: Body | str,
@@ -85,8 +89,8 @@ def rollout(
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or RandomPolicy(found)
-    if hasattr(policy, "reseed"):
-        policy.reseed(seeding.child_seed(seed, "video policy"))
+    reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
+    reseed(seeding.child_seed(seed, "video policy"))
     made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
     with closing(made) as env:
         env.picture_size = size

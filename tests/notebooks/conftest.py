@@ -199,6 +199,7 @@ def said(notebook: nbformat.NotebookNode) -> dict[str, str]:
 
 def words(text: str) -> str:
     """What is read: the text without its markup."""
+    text = text.replace("<wbr>", "")
     return " ".join(re.sub(r"<style.*?</style>|<[^>]*>", " ", text, flags=re.DOTALL).split())
 
 
