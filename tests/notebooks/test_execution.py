@@ -18,7 +18,6 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 from conftest import MISSING, Execute, glue_roles, output, said, words
-from papermill import PapermillExecutionError
 from PIL import Image
 
 from silem import bodies, paper
@@ -264,11 +263,3 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
         assert "No finished run on HC2 yet: SILEM" in text
     if name == "07_scorecard":
         assert said(page)["n_undecided"] == str(len(claims.of("halfcheetah")))
-
-
-def test_papermill_stops_at_an_unknown_parameter(papermill: Execute) -> None:
-    with pytest.raises(PapermillExecutionError) as caught:
-        papermill("07_scorecard", budgt="book", budget=3)
-    assert caught.value.ename == "SilemError"
-    assert "unknown parameter 'budgt'" in caught.value.evalue
-    assert "budget = 3 is not one of tiny, quick, book, paper" in caught.value.evalue
