@@ -30,6 +30,7 @@ from silem.report import film
 from silem.study.config import RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import RunRecord
+from silem.study.studies import study_configs
 from silem.util.errors import SilemError
 
 REPO = Path(__file__).parents[2]
@@ -51,6 +52,7 @@ def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SILEM_DATA_DIR", str(folder))
         synthetic.write_study("book", without=MISSING)
+        synthetic.write_record(study_configs("fidelity", "book")[0], 1234.5)
         for method, body in FILMED:
             add_untrained_policy(RunConfig.create(body, method, budget="book"))
         shown = random_demonstrations("HC0")

@@ -111,6 +111,9 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     for cell_id in ("curve", "experts", "curves"):
         assert output(page, cell_id).startswith("<svg")
     assert "18 runs" in words(output(page, "experts-runs"))
+    assert re.search(r"HC1 2,000 1,2\d\d\.\d\d", words(output(page, "longer")))
+    (unlike,) = [cell for cell in page.cells if cell.id == "unlike-ppo1"]
+    assert str(unlike.outputs).count("not run yet; otherwise") == 2
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
     demonstrator = find_demonstrator(frame)
