@@ -14,8 +14,8 @@ import numpy as np
 from dm_control import suite
 
 from benchmarks.measurement import Batched, Measurement, Row, Single
-from silem.envs import MujocoEnv, MujocoVecEnv
-from silem.envs.mujoco.simulator import body_of
+from silem.envs import BatchedEnv, SingleEnv
+from silem.envs.mujoco import body_of
 
 PEER = "dm_control humanoid walk"
 N_ENVS = (1, 8, 16)
@@ -39,7 +39,7 @@ class Raw:
 
     def reset(self, seed: int) -> None:
         """Start every body as our environments start with this seed."""
-        env = MujocoVecEnv(self.body, len(self.states), seed)
+        env = BatchedEnv(self.body, len(self.states), seed)
         env.reset()
         for index, data in enumerate(self.states):
             mujoco.mj_resetData(self.model, data)
@@ -108,16 +108,16 @@ class DmControl:
 def measurement(body: str, n_envs: Sequence[int] = N_ENVS) -> Measurement:
     """Make all contenders of a body, ours and raw with each number of environments."""
     most = max(n_envs)
-    threaded = Batched(MujocoVecEnv(body, most, n_threads=N_THREADS))
+    threaded = Batched(BatchedEnv(body, most, n_threads=N_THREADS))
     others = [
         Row(f"  {N_THREADS} threads, by the clock", most, threaded, time.perf_counter),
-        Row(f"gymnasium silem/{body}-v0", 1, Walker(MujocoEnv(body))),
+        Row(f"gymnasium silem/{body}-v0", 1, Walker(SingleEnv(body))),
     ]
     return Measurement(
         body,
         body_of(body).action_size,
         [Row("raw mj_step", n, Raw(body, n)) for n in n_envs],
-        [Row("silem.make_vec", n, Batched(MujocoVecEnv(body, n))) for n in n_envs],
+        [Row("silem.make_vec", n, Batched(BatchedEnv(body, n))) for n in n_envs],
         others,
         Row(PEER, 1, DmControl(body)) if body == "Humanoid" else None,
         TARGET_TIMES_PEER,

@@ -31,7 +31,7 @@ def feature_names(body: str) -> list[str]:
     """Name a body's skeletal features, in their order.
 
     A PyBullet body's are its observation (g is the identity, see
-    `silem.envs.bullet.task.LocomotionTask`), a humanoid's `silem.motion.features.FEATURES`.
+    `silem.envs.bullet.LocomotionTask`), a humanoid's `silem.motion.features.FEATURES`.
     """
     if not isinstance(bodies.get(body), BulletBody):
         return [feature.label for feature in FEATURES]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import bullet, humanoids, measurement
-from silem.envs import MujocoVecEnv
+from silem.envs import BatchedEnv
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +44,7 @@ def test_without_a_peer_there_is_only_the_share_of_raw():
 
 def test_raw_mujoco_simulates_what_our_environment_does_until_a_fall():
     raw = humanoids.Raw("Humanoid", 2)
-    ours = MujocoVecEnv("Humanoid", 2)
+    ours = BatchedEnv("Humanoid", 2)
     raw.reset(seed=3)
     ours.seed(3)
     ours.reset()

@@ -16,9 +16,8 @@ from silem import bodies, paper
 from silem.bodies import MujocoBody, describe
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.envs.mujoco import task as walking
-from silem.envs.mujoco.simulator import Simulation, body_of, start_state
-from silem.envs.mujoco.task import Reading
+from silem.envs import mujoco as walking
+from silem.envs.mujoco import Reading, Simulation, body_of, start_state
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.kinematics import SIDES
@@ -258,7 +257,7 @@ _N = 201  # points of a curve
 def reward_factors() -> Figure:
     """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
 
-    The curves are computed by the environments' own `silem.envs.mujoco.task.rewards`.
+    The curves are computed by the environments' own `silem.envs.mujoco.rewards`.
     """
     body = bodies.of_kind("Humanoid", MujocoBody)
     head_m = np.linspace(0.0, 1.2 * body.standing_head_m, _N)
