@@ -157,9 +157,8 @@ class Simulation(base.Simulation):
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
         states = [start_state(generator, self.body, self._starts) for generator in generators]
-        qpos, qvel = map(np.array, zip(*states, strict=True))
-        self.place(indices, qpos, qvel)
-        self._start_xy[indices] = qpos[:, :2]
+        self.place(indices, *map(np.array, zip(*states, strict=True)))
+        self._start_xy[indices] = self.qpos[indices, :2]
         return _observed(self._seen(indices))
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
