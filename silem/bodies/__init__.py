@@ -127,8 +127,7 @@ def get(name: str) -> Body:
 def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
     """Return a body, given itself or its name, as a `BulletBody` or a `MujocoBody`.
 
-    Raises:
-        SilemError: If there is no such body, or another simulator steps it.
+    Raises SilemError if there is no such body, or another simulator steps it.
     """
     found = get(body) if isinstance(body, str) else body
     if not isinstance(found, kind):
@@ -138,11 +137,7 @@ def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
 
 
 def names(family: str | None = None) -> list[str]:
-    """Return the names of all bodies, or of one family's, in the paper's order.
-
-    Raises:
-        SilemError: If there is no such family.
-    """
+    """Return the names of all bodies, or of a known family's, in the paper's order."""
     if family is not None:
         choose("family", family, dict.fromkeys(body.family for body in _BODIES.values()))
     return [name for name, body in _BODIES.items() if family in (None, body.family)]

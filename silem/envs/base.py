@@ -56,7 +56,7 @@ class Simulation(ABC):
     def pose(self) -> np.ndarray:
         """Return the joint positions (nq,) of the first body, as MuJoCo orders them."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  not every simulator has anything to give back
         """Forget the past: what `begin` gives next is as new; closing twice is allowed."""
 
 
@@ -136,14 +136,9 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         height: int = 480,
         **options: Any,
     ) -> None:
-        """Make the environment.
+        """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
-        Args:
-            body: A body or its name.
-            render_mode: "rgb_array" to be able to render, or None.
-            width: Of the pictures, in pixels.
-            height: Of the pictures, in pixels.
-            **options: Those of the body's simulation, see `make_vec`.
+        Pictures of `width` times `height` pixels need the render mode "rgb_array".
 
         Raises:
             SilemError: If an argument is not allowed.
@@ -154,10 +149,9 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; a seed makes it, and what follows, repeatable.
+        """Start an episode; return its first observation (O,), float32, and info, as `step` does.
 
-        Returns:
-            The first observation (O,), float32, and the body's info (see `step`).
+        A seed makes it, and what follows, repeatable.
         """
         super().reset(seed=seed)
         (observation,), (info,) = self.simulation.begin(np.zeros(1, int), [self.np_random])
@@ -167,10 +161,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     def step(
         self, action: np.ndarray
     ) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step by one control step.
-
-        Args:
-            action: (A,); torques are clipped at -1 and 1.
+        """Step by one control step with an action (A,); torques are clipped at -1 and 1.
 
         Returns:
             Observation (O,), float32, reward, whether the body has fallen, False, and an info:
@@ -186,8 +177,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     def render(self) -> np.ndarray | None:
         """Return a picture (H, W, 3), uint8, or None without a render mode.
 
-        Raises:
-            SilemError: Before `reset`, or where nothing can be drawn.
+        Raises SilemError before `reset`, or where nothing can be drawn.
         """
         return None if self.render_mode is None else self._picture()
 
@@ -236,11 +226,7 @@ class BatchedEnv(_Filmed, VecEnv):
         self.seed(seed)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the root of all random streams, None to draw one, for the next `reset`.
-
-        Raises:
-            SilemError: If the seed is negative or not a whole number.
-        """
+        """Set the root of all random streams, from 0, or None to draw it, for the next `reset`."""
         if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
             raise SilemError(f"seed is {seed!r}; allowed: whole numbers from 0")
         root = np.random.SeedSequence(None if seed is None else int(seed))
@@ -269,20 +255,12 @@ class BatchedEnv(_Filmed, VecEnv):
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
 
-        Raises:
-            SilemError: If they have another shape or are not finite, or before `reset`.
+        Raises SilemError if they have another shape or are not finite, or before `reset`.
         """
         self._actions = self._check(actions, (self.num_envs, self.body.action_size))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step every environment by one control step.
-
-        Returns:
-            Observations (E, O) and rewards (E,), float32, dones (E,) and E infos.
-
-        Raises:
-            SilemError: If there is no action.
-        """
+        """Step; return observations (E, O), rewards (E,), both float32, dones (E,) and E infos."""
         if self._actions is None:
             raise SilemError("step_wait without step_async")
         actions, self._actions = self._actions, None
@@ -311,9 +289,8 @@ class BatchedEnv(_Filmed, VecEnv):
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
 
-        Raises:
-            SilemError: For any other mode, in environments without a render mode, before the first
-                reset, or where nothing can be drawn.
+        Raises SilemError for any other, without a render mode, before `reset`, or where nothing
+        can be drawn.
         """
         choose("render mode", mode or "rgb_array", RENDER_MODES)
         if self.render_mode is None:
@@ -330,11 +307,7 @@ class BatchedEnv(_Filmed, VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments, which share it.
-
-        Raises:
-            SilemError: If there is no such attribute, or it is to be set in some of them only.
-        """
+        """Set an attribute, which there must be, of all environments, which share it."""
         if not hasattr(self, attr_name):
             raise SilemError(f"a {type(self).__name__} has no attribute {attr_name!r} to set")
         if set(self._get_indices(indices)) != set(range(self.num_envs)):

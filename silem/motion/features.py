@@ -70,8 +70,8 @@ class Landmarks:
         self.ids = np.array(found)  #: (P,) in the order of `POINTS`
         self.torso = found[0]
         self.root = int(model.body_rootid[self.torso])  #: carries all others
-        # of the nine numbers of its matrix, which has the axes as columns
-        self._rows = np.array([["xyz".index(axis) + 3 * i for i in range(3)] for axis in skeleton.axes])
+        columns = ["xyz".index(axis) for axis in skeleton.axes]
+        self._rows = np.arange(9).reshape(3, 3).T[columns]  # of a torso frame's nine numbers
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
         """Return the landmarks' positions in the world in m, (P, 3)."""

@@ -251,11 +251,12 @@ def test_a_variant_differs_in_its_parameter_alone():
 
 
 def test_edits_that_would_miss_are_refused():
-    xml = bodies.get("HC0").model_xml()
     with pytest.raises(SilemError, match="0 elements <geom name='tail'>"):
-        bodies_body.set_attribute(xml, "geom", "tail", "pos", "0 0 0")
+        bodies_body.pybullet_model("half_cheetah.xml", {("geom", "tail", "pos"): (0, 0, 0)})
     with pytest.raises(SilemError, match="no attribute 'mass'"):
-        bodies_body.set_attribute(xml, "geom", "torso", "mass", "1")
+        bodies_body.pybullet_model("half_cheetah.xml", {("geom", "torso", "mass"): (1,)})
+    with pytest.raises(SilemError, match=r"no model 'cat\.xml'"):
+        bodies_body.pybullet_model("cat.xml", {})
 
 
 def test_a_full_temporary_folder_is_one_line(

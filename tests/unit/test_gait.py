@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from silem.envs import make_vec
-from silem.envs import bullet
+from silem.envs import bullet, make_vec
 from silem.motion.demonstrations import Demonstrations
 from silem.report.features import feature_names
 from silem.study import demonstrate
