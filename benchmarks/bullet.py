@@ -17,6 +17,7 @@ import pybullet
 
 from benchmarks.measurement import Batched, Measurement, Row, Single
 from silem.envs import BatchedEnv, SingleEnv
+from silem.envs.bullet import Simulation
 
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 N_CLIENTS = (1, 4, 8)
@@ -31,7 +32,9 @@ class Raw(Batched):
         control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
         mode = pybullet.TORQUE_CONTROL
         strengths = [motor.torque_n_m for motor in self.env.body.motors]
-        clients = [(sim.robot, sim.joints, sim.client) for sim in self.env.simulation.clients]
+        simulation = self.env.simulation
+        assert isinstance(simulation, Simulation)
+        clients = [(each.robot, each.joints, each.client) for each in simulation.clients]
         for torques in (actions * strengths).tolist():
             for (robot, joints, client), forces in zip(clients, torques, strict=True):
                 control(robot, joints, mode, forces=forces, physicsClientId=client)

@@ -67,9 +67,9 @@ def _lengths_m(model: mujoco.MjModel) -> dict[str, float]:
     """Return the length of each named capsule and cylinder, and the radius of each sphere."""
     lengths = {}
     for geom in map(model.geom, range(model.ngeom)):
-        if geom.name and geom.type[0] in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
-            length = 2 * geom.size[1] if geom.type[0] in _ROUND else geom.size[0]
-            lengths[geom.name] = round(float(length), 6)
+        kind, (radius, half, _) = int(geom.type[0]), geom.size.tolist()
+        if geom.name and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[geom.name] = round(2 * half if kind in _ROUND else radius, 6)
     return lengths
 
 

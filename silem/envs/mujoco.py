@@ -105,7 +105,7 @@ class Simulation(base.Simulation):
         self.body, self._speed_m_s, self._starts = body, speed_m_s, starts
         size = 2 * body.action_size + len(_OBSERVED) + 3 + 6
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        self.model = _stepped(body)
+        self.model = stepped_model(body)
         self._landmarks = Landmarks(self.model, body.skeleton)
         self._batch = batch = Batch(self.model, n_envs, min(n_envs, n_threads), persistent=True)
         self.qpos, self.qvel, self._controls = map(batch.bind, ("qpos", "qvel", "ctrl"))
@@ -136,16 +136,14 @@ class Simulation(base.Simulation):
         self._batch.warning[:] = 0
         return failed
 
-    def read(self, indices: np.ndarray | None = None) -> Reading:
+    def read(self, indices: slice | np.ndarray = slice(None)) -> Reading:
         """Return copies of what the states hold: the chosen ones', or all."""
-        return Reading(*map(np.array, self._seen(slice(None) if indices is None else indices)))
-
-    def _seen(self, indices: slice | np.ndarray) -> Reading:
-        """Return the same as `read`, good until the next step."""
-        places, torso = self._places[indices], self._torso[indices]
-        points, axes = places.take(self._landmarks.ids, 1), self._landmarks.oriented(torso)
         return Reading(
-            self.qpos[indices], self.qvel[indices], points, axes, self._com_velocity[indices]
+            self.qpos[indices].copy(),
+            self.qvel[indices].copy(),
+            self._places[indices].take(self._landmarks.ids, 1),
+            self._landmarks.oriented(self._torso[indices]),
+            self._com_velocity[indices].copy(),
         )
 
     def data(self, index: int = 0) -> mujoco.MjData:
@@ -159,13 +157,13 @@ class Simulation(base.Simulation):
         states = [start_state(generator, self.body, self._starts) for generator in generators]
         self.place(indices, *map(np.array, zip(*states, strict=True)))
         self._start_xy[indices] = self.qpos[indices, :2]
-        return _observed(self._seen(indices))
+        return _observed(self.read(indices))
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
         """Step all bodies."""
         actions = actions.clip(-1.0, 1.0)
         failed = self.advance(actions)
-        reading = self._seen(slice(None))
+        reading = self.read()
         earned = rewards(reading, actions, self.body.standing_head_m, self._speed_m_s)
         fallen = reading.head_m < self.body.fall_head_m
         if failed is not self._none:
@@ -184,7 +182,7 @@ class Simulation(base.Simulation):
         return self.qpos[0]
 
 
-def _stepped(body: MujocoBody) -> mujoco.MjModel:
+def stepped_model(body: MujocoBody) -> mujoco.MjModel:
     """Compile a body's model as it is stepped: the same motion, bit for bit, in less time.
 
     What is only drawn is left out where inertias do not follow from it. One body is one tree, so
