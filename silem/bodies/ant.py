@@ -22,7 +22,7 @@ def model(offset: float) -> str:
     In the model that link is the geom `aux_i_geom`, and the body `aux_i` hangs on its end; an
     offset of 0.2 is PyBullet's own file, byte for byte.
     """
-    edits = {}
+    edits: dict[tuple[str, str, str], tuple[float, ...]] = {}
     for leg, (x, y) in _LEG_SIGNS.items():
         end = (x * offset, y * offset, 0.0)
         edits["geom", f"aux_{leg}_geom", "fromto"] = (0.0, 0.0, 0.0, *end)

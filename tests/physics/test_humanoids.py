@@ -12,7 +12,7 @@ from dm_control import suite
 from silem import bodies
 from silem.bodies import humanoid
 from silem.envs import BatchedEnv, SingleEnv, make_vec
-from silem.envs.mujoco import Simulation, body_of, observe
+from silem.envs.mujoco import Simulation, body_of, observe, stepped_model
 from silem.motion.features import FEATURES, Landmarks, g
 from silem.util.errors import SilemError
 
@@ -335,3 +335,17 @@ def test_the_batch_steps_bit_for_bit_as_mj_step_does(name: str):
     assert np.ptp(reading.head_m) > 0.01
     mujoco.mj_step(model, singles[0])  # a whole step more is another state
     assert not np.array_equal(reading.qpos[0], singles[0].qpos)
+
+
+def test_a_stepped_model_lacks_only_what_is_drawn_and_weighs_nothing():
+    ghost = '<geom name="ghost" type="sphere" size="0.1" contype="0" conaffinity="0"/>'
+    heavy = bodies.get("Humanoid").model_xml().replace("</body>", f"{ghost}</body>", 1)
+    humanoid = dataclasses.replace(bodies.get("Humanoid"), build=lambda: heavy)
+    for body, n_fewer in ((bodies.get("Atlas"), 59), (humanoid, 0)):
+        plain, stepped = mujoco.MjModel.from_xml_string(body.model_xml()), stepped_model(body)
+        assert plain.ngeom - stepped.ngeom == n_fewer
+        assert plain.npair == stepped.npair
+        for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+            np.testing.assert_array_equal(getattr(plain, field), getattr(stepped, field))
+    plain = mujoco.MjModel.from_xml_string(bodies.get("Humanoid").model_xml())
+    assert stepped.body_mass.sum() > plain.body_mass.sum() + 1  # what leaving it out would miss
