@@ -32,7 +32,7 @@ from silem.bodies.body import (
     Skeleton,
     View,
 )
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose
 
 __all__ = [
     "AliveRule", "Body", "BulletBody", "Entry", "GymnasiumBody", "Motor", "MujocoBody", "Part",
@@ -85,10 +85,9 @@ def register(body: Body, replace: bool = False) -> Body:
     Registering the same body again changes nothing. With `replace` it may take another's place.
 
     Raises:
-        SilemError: If the name is another body's, or is not fit for an id or a file.
+        SilemError: If the name is another body's, or cannot be that of a file.
     """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", body.name):
-        raise SilemError(f"body named {body.name!r}; allowed: letters, digits, _, - and .")
+    check_name("body", body.name)
     if body.name in _BODIES and not replace:
         known = get(body.name)
         if known != body or known.model_xml() != body.model_xml():

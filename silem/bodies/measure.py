@@ -123,10 +123,7 @@ def joint_infos(robot: int, client: int) -> list[tuple[Any, ...]]:
 
 
 def link_names(robot: int, client: int) -> dict[str, int]:
-    """Return the number of every named link, the base included.
-
-    The base comes first: where a link proper has the same name, the link it is.
-    """
+    """Return the number of every named link, and of the base unless a link has its name."""
     base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
     links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
     return {base: BASE} | links

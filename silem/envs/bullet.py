@@ -161,43 +161,31 @@ class Client:
         """Return what runs after every step: local names and arguments by place keep it fast."""
         client, robot, floor, joints = self.client, self.robot, self._floor, self.joints
         joint_states, contact_points = pybullet.getJointStates, pybullet.getContactPoints
-        euler = pybullet.getEulerFromQuaternion
-        read_links = self._make_read_links()
+        link_states, euler = pybullet.getLinkStates, pybullet.getEulerFromQuaternion
+        base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
         foot_of_link = {self._links[name]: foot for foot, name in enumerate(self.body.feet)}
         no_contact = [0.0] * len(self.body.feet)
+        has_base = self._links[self.body.root] == measure.BASE  # whose state is no link's
+        parts = self.body.parts[has_base:]
+        links = list(dict.fromkeys(self._links[part.link] for part in parts))
+        picks = [(links.index(self._links[part.link]), _FIELDS[part.point]) for part in parts]
 
         def read() -> State:
-            quaternion, velocity, parts = read_links()
+            states = link_states(robot, links, not has_base, False, client)
+            places = [states[link][field] for link, field in picks]
+            if has_base:
+                position, quaternion = base_pose(robot, client)
+                velocity, places = base_velocity(robot, client)[0], [position, *places]
+            else:
+                quaternion, velocity = states[0][1], states[0][6]
             contact = no_contact.copy()
             for point in contact_points(robot, floor, _ANY_LINK, _ANY_LINK, client):
                 if (foot := foot_of_link.get(point[3])) is not None:
                     contact[foot] = 1.0
             hinges = joint_states(robot, joints, client)
-            return State(hinges, euler(quaternion), velocity, parts, contact)
+            return State(hinges, euler(quaternion), velocity, places, contact)
 
         return read
-
-    def _make_read_links(self) -> Callable[[], tuple[_Numbers, _Numbers, list[_Numbers]]]:
-        """Return the function that reads the root's quaternion and velocity, and the parts."""
-        client, robot, link_states = self.client, self.robot, pybullet.getLinkStates
-        base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
-        has_base = self._links[self.body.root] == measure.BASE
-        parts = self.body.parts[has_base:]
-        links = list(dict.fromkeys(self._links[part.link] for part in parts))
-        picks = [(links.index(self._links[part.link]), _FIELDS[part.point]) for part in parts]
-
-        def read_from_link() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
-            states = link_states(robot, links, True, False, client)
-            positions = [states[link][field] for link, field in picks]
-            return states[0][1], states[0][6], positions
-
-        def read_from_base() -> tuple[_Numbers, _Numbers, list[_Numbers]]:
-            states = link_states(robot, links, False, False, client)
-            position, quaternion = base_pose(robot, client)
-            positions = [position, *[states[link][field] for link, field in picks]]
-            return quaternion, base_velocity(robot, client)[0], positions
-
-        return read_from_base if has_base else read_from_link
 
 
 def _disconnect(client: int) -> None:

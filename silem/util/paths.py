@@ -41,7 +41,7 @@ def data_dir() -> Path:
 
 
 def results_dir(study: str) -> Path:
-    """Return the folder of a study's published (committed) records; raises as `check_name`."""
+    """Return the folder of a study's committed records; raises as `check_name`."""
     return data_dir() / "results" / check_name("study", study)
 
 

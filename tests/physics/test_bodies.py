@@ -219,7 +219,7 @@ def test_a_name_is_one_bodys_unless_it_is_replaced(monkeypatch: pytest.MonkeyPat
     assert ends == [False] * 6 + [True]
     assert make_vec("HC1p5").max_steps == 7 and make_vec("HC0").max_steps == 1000
     for name in ("../HC0", "", "HC 0"):
-        with pytest.raises(SilemError, match="allowed: letters"):
+        with pytest.raises(SilemError, match="body must be a name"):
             bodies.register(dataclasses.replace(mine, name=name))
 
 
