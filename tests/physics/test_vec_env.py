@@ -234,6 +234,8 @@ def test_bad_input_is_refused_before_anything_moves():
         make_vec("HC7")
     with pytest.raises(SilemError, match="'Humanoid' is simulated by mujoco, not by bullet"):
         bodies.of_kind("Humanoid", BulletBody)
+    with pytest.raises(SilemError, match="unknown simulator 'gymnasium'; allowed: bullet, mujoco"):
+        BatchedEnv("Pendulum-v1")
 
 
 def test_clients_are_given_back():
