@@ -51,6 +51,8 @@ def test_seed_and_reset_forget_the_past(body: str):
     env = make_vec(body, 3, seed=7, max_steps=SHORT)
     first = rollout(env)
     second = rollout(env)
+    client = env.simulation.clients[0]
+    pybullet.setGravity(0, 0, -1, physicsClientId=client.client)  # no trick is remembered either
     env.seed(7)
     np.testing.assert_array_equal(rollout(env), first)
     np.testing.assert_array_equal(rollout(make_vec(body, 3, seed=7, max_steps=SHORT)), first)
