@@ -55,7 +55,7 @@ class Entry(NamedTuple):
 
 
 _BODIES: dict[str, Body | Entry] = {}
-_OWN: dict[str, tuple[Body, str]] = {}  # those registered, and the module that `load` was loading
+_OWN: dict[str, str] = {}  # of those registered, the module that `load` was loading, or ""
 _loading = ""
 
 
@@ -97,7 +97,7 @@ def register(body: Body, replace: bool = False) -> Body:
             )
         return known
     _add(body)
-    _OWN[body.name] = body, _loading
+    _OWN[body.name] = _loading
     return body
 
 
@@ -199,17 +199,17 @@ def identity(name: str) -> dict[str, str] | None:
 
     That is a hash of it, and the `module` whose `load` registered it, or "".
     """
-    body, module = _OWN.get(name, (None, ""))
-    if body is None or _BODIES.get(name) is not body:
+    if name not in _OWN:
         return None
+    body = get(name)
     told = {
         field.name: getattr(body, field.name) for field in dataclasses.fields(body) if field.repr
     }
     del told["description"]
     digest = hashlib.sha256(f"{told}\n{body.model_xml()}".encode()).hexdigest()
-    return {"module": module, "sha256": digest}
+    return {"module": _OWN[name], "sha256": digest}
 
 
 def module_of(name: str) -> str:
     """Return the module whose `load` registered a body, or ""."""
-    return (identity(name) or {}).get("module", "")
+    return _OWN.get(name, "")

@@ -201,6 +201,7 @@ def test_unknown_and_repeated_names_are_refused():
 
 def test_a_name_is_one_bodys_unless_it_is_replaced(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
+    monkeypatch.setattr(bodies, "_OWN", {})
     mine = half_cheetah.body("HC1p5", 1.5)
     assert bodies.register(mine) is bodies.get("HC1p5") is mine
     assert bodies.register(half_cheetah.body("HC1p5", 1.5)) is mine  # the same again
