@@ -26,11 +26,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from silem.study.checkpoint import CHECKPOINT
 
 from silem.motion import demonstrations as demos
 from silem.study import demonstrate as recording
 from silem.study import runs
-from silem.study.checkpoint import CHECKPOINT
 from silem.study.config import RunConfig
 from silem.study.record import RECORD
 from silem.study.settings import BUDGETS, Budget

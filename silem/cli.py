@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import ast
+import dataclasses
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -36,7 +38,7 @@ examples:
   silem demonstrations --body HC0 --budget quick
   silem run --body HC2 --method silem --demonstrations HC0 --budget quick --seed 7
   silem run --body HC2 --method silem --set gradient_penalty=0 --set window=2
-  silem campaign --study halfcheetah --budget book --trials 1 --workers 2
+  silem work halfcheetah --budget book --trials 1 --workers 2
   silem status --budget book
   silem render RUN_ID --out hc2.mp4
 
@@ -56,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         141 where nobody reads the output any more.
     """
     try:
-        with runs.sigterm_as_interrupt():
+        with runs.stoppable():
             try:
                 options = parser().parse_args(arguments)
                 if options.with_input:
@@ -142,17 +144,52 @@ def parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="start anew, even if finished")
     add("--wait", action="store_true", help="wait for another process at work on this run")
 
+    def add_work(add: Callable[..., Any], *, studies: bool = True) -> None:
+        if studies:
+            several = "studies, or searches STUDY/BODY/METHOD"
+            add("studies", nargs="+", metavar="STUDY", help=several)
+        add_budget(add, "book")
+        add("--trials", type=count, help="per cell; default: as many as budget and study have")
+        add("--sample", type=count, metavar="N", help="only the first N configurations of a search")
+
+    def add_worker(add: Callable[..., Any]) -> None:
+        add("--body", nargs="+", help="only these learners' bodies")
+        add("--method", nargs="+", help="only these methods")
+
+    def add_loop(add: Callable[..., Any], workers: int | None = None) -> None:
+        many = "so many processes at a time, with one bar; default: this one alone"
+        add("--workers", type=_whole(1, 1024), default=workers, metavar="K", help=many)
+        add("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then")
+        add("--retry", action="store_true", help="also what has failed before")
+
+    add = command(_work)
+    add_work(add)
+    add_worker(add)
+    add_loop(add)
+
     add = command(_campaign)
-    add("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(add, "book")
-    add("--trials", type=count, help="per cell; default: as many as budget and study have")
-    add("--workers", type=_whole(1, 1024), default=2, help="default: %(default)s")
-    add("--body", nargs="+", help="only these learners' bodies")
-    add("--method", nargs="+", help="only these methods")
+    add("--study", nargs=1, dest="studies", default=["halfcheetah"], help="default: halfcheetah")
+    add_work(add, studies=False)
+    add_worker(add)
+    add_loop(add, workers=2)
+
+    add = command(_submit)
+    add_work(add)
+    add_worker(add)
+    add("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask")
+    add("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4")
+    add("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more")
+    add("--print", action="store_true", help="show what would be submitted")
+
+    add = command(_search)
+    add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
+    add_work(add, studies=False)
+    add_loop(add)
 
     add = command(_status)
-    add("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(add, "book")
+    add("studies", nargs="*", metavar="STUDY", help="default: halfcheetah")
+    add("--study", nargs=1, dest="study", help=argparse.SUPPRESS)
+    add_work(add, studies=False)
 
     add = command(_show)
     add("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
@@ -298,20 +335,86 @@ def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
     print(text)
 
 
-def _campaign(options: argparse.Namespace) -> None:
-    """Make all runs of a study that are missing."""
-    from silem.study.campaign import campaign
+def _configs(options: argparse.Namespace) -> list[RunConfig]:
+    """Return the runs of all studies asked for, one study after the other."""
+    only = {name: getattr(options, name, None) for name in ("body", "method")}
+    budget, trials, sample = budget_of(options), options.trials, options.sample
+    return [
+        config
+        for study in options.studies
+        for config in studies.study_configs(study, budget, trials, sample, **only)
+    ]
 
-    configs = studies.study_configs(
-        options.study, budget_of(options), options.trials, body=options.body, method=options.method
+
+def _words(options: argparse.Namespace) -> list[str]:
+    """Return the command line of a loop that does what these options ask for."""
+    words = ["work", *options.studies]
+    named = ("budget", "iterations", "trials", "sample", "body", "method", "minutes")
+    for name in named:
+        if (said := getattr(options, name, None)) is not None:
+            words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
+    for module in options.modules:
+        words += ["--import", module]
+    return words
+
+
+def _work(options: argparse.Namespace) -> None:
+    """Make what is missing of studies, run after run."""
+    from silem.study import work
+
+    configs = _configs(options)
+    for config in configs if options.retry else ():
+        runs.forgive(config)
+    if options.workers:
+        work.crew(_words(options), configs, options.workers, not options.quiet)
+        return
+    work.work(
+        configs,
+        options.minutes or math.inf,
+        not options.quiet,
+        lambda record: _print_evaluation(record.run_id, record.evaluation),
     )
-    for record in campaign(configs, options.workers, progress=not options.quiet):
-        _print_evaluation(record.run_id, record.evaluation)
+
+
+def _campaign(options: argparse.Namespace) -> None:
+    """`work --retry` on one study, by several processes."""
+    options.retry = True
+    _work(options)
+
+
+def _submit(options: argparse.Namespace) -> None:
+    """Hand work loops over to a cluster."""
+    from silem.study import submit, work
+
+    said = submit.Options.load(options.options)
+    if options.jobs:
+        said = dataclasses.replace(said, jobs=options.jobs)
+    words, configs = _words(options), _configs(options)
+    if options.print:
+        print(submit.submission(options.on, words, said), end="")
+        return
+    work.check(configs)
+    print(submit.submit(options.on, words, said))
+
+
+def _search(options: argparse.Namespace) -> None:
+    """Run a grid of the supplement, and rank its configurations."""
+    if "/" not in options.studies[0]:
+        raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(options.studies[0])}")
+    _work(options)
+    found = studies.ranking(options.studies[0], budget_of(options), options.trials)
+    for place, entry in enumerate(found, 1):
+        said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
+        mark = "  (the supplement's best)" if entry.is_papers else ""
+        print(f"{place:4} {entry.score:8.0f}  {said}{mark}")
 
 
 def _status(options: argparse.Namespace) -> None:
-    """What of a study is finished, running, missing."""
-    print(studies.status_table(options.study, budget_of(options)))
+    """What of studies is finished, running, failed, missing, and how long the rest takes."""
+    from silem.study import work
+
+    for study in options.studies or options.study or ["halfcheetah"]:
+        print(work.status(study, budget_of(options), options.trials, options.sample))
 
 
 def _show(options: argparse.Namespace) -> None:
@@ -341,12 +444,9 @@ def _demonstrations(options: argparse.Namespace) -> None:
     name = None
     if options.run:
         record = _finished(options.run)
-    elif options.trial is None:
-        record = demonstrator(options.body, options.budget)
     else:
-        expert = RunConfig.create(options.body, "ppo", None, options.budget, options.trial)
-        record = _finished(expert.run_id)
-        name = trial_name(record)
+        record = demonstrator(options.body, options.budget, options.trial)
+        name = None if options.trial is None else trial_name(record)
     path = demonstrate(
         record, options.trajectories, name=name, force=options.force, progress=not options.quiet
     )

@@ -21,23 +21,24 @@ from silem.util.errors import SilemError
 _FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.task.LocomotionTask`
 
 
-def experts(body: str, budget: str | Budget) -> list[RunConfig]:
-    """Return the configurations of a body's experts: every trial of PPO with the true reward."""
-    first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0])
-    seeds = TRIAL_SEEDS[1 : first.budget.n_trials]
+def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:
+    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's."""
+    first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0] if trial is None else trial)
+    seeds = TRIAL_SEEDS[1 : first.budget.n_trials] if trial is None else ()
     return [first, *(RunConfig.create(body, "ppo", None, budget, seed) for seed in seeds)]
 
 
-def demonstrator(body: str, budget: str | Budget) -> RunRecord:
+def demonstrator(body: str, budget: str | Budget, trial: int | None = None) -> RunRecord:
     """Return a body's demonstrator: the expert with the highest return among all its trials.
 
     "Running as fast as possible" (Section V) is a choice among policies; this is the rule for it,
-    the same for every body. Returns are those of the finished runs' evaluations.
+    the same for every body. Returns are those of the finished runs' evaluations. A `trial` is one
+    expert, whichever it is.
 
     Raises:
-        SilemError: Not all of the budget's trials are finished; the message names the next.
+        SilemError: Not all of these trials are finished; the message names the next.
     """
-    configs = experts(body, budget)
+    configs = experts(body, budget, trial)
     found = [runs.find(config.run_id) for config in configs]
     missing = [config for config, record in zip(configs, found, strict=True) if record is None]
     if missing:

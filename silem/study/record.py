@@ -22,6 +22,7 @@ from silem.util.errors import SilemError, choose
 
 RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
+CHECKPOINT, PROGRESS = "checkpoint.safetensors", "progress.json"  # of an unfinished run
 _LATER = {"processor_time_s"}  # older records are without
 PACKAGES = (
     "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",

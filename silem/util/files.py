@@ -213,6 +213,10 @@ def sha256(path: Path) -> str:
         return hashlib.sha256(data).hexdigest()
 
 
+class Held(SilemError):
+    """Another process holds a lock."""
+
+
 @contextmanager
 def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs.
@@ -222,7 +226,7 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     waited for `wait_s` seconds.
 
     Raises:
-        SilemError: Another process holds the lock (the message names it), or there can be none.
+        SilemError: Another process holds the lock (`Held`, which names it), or there can be none.
     """
     path = Path(path)
     until = time.monotonic() + wait_s
@@ -234,9 +238,7 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     try:
         while not _lock_now(path, descriptor, fcntl.LOCK_EX):
             if time.monotonic() >= until:
-                holder = os.pread(descriptor, 100, 0).decode(errors="replace")
-                name = holder.strip() or "another process"
-                raise SilemError(f"{path} is held by {name}, which is at work there")
+                raise Held(f"{path} is held by {holder(path)}, which is at work there")
             time.sleep(0.02)
         with suppress(OSError):  # a full disk is no reason not to work
             os.ftruncate(descriptor, 0)
@@ -262,6 +264,23 @@ def is_locked(path: Path) -> bool:
         return False
     finally:
         os.close(descriptor)
+
+
+def holder(path: Path) -> str:
+    """Return who holds a `lock`, or held it last: ``pid@host``."""
+    with suppress(OSError), open(path, "rb") as stream:
+        return stream.read(100).decode(errors="replace").strip() or "another process"
+    return "another process"
+
+
+def check_locks(folder: Path) -> None:
+    """Raise SilemError where the file system of a folder lets a lock be taken twice."""
+    path = Path(folder) / "locks.lock"
+    with lock(path, wait_s=60.0), suppress(Held), lock(path, wait_s=0.0):
+        raise SilemError(
+            f"the file system of {folder} does not honour locks, so that two workers could make"
+            " one run; set SILEM_DATA_DIR to one that does"
+        )
 
 
 def _lock_now(path: Path, descriptor: int, kind: int) -> bool:

@@ -21,9 +21,9 @@ from hypothesis.extra import numpy as hnp
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, verify
-from silem.study.checkpoint import Checkpoint
 from silem.study.config import RunConfig
 from silem.study.record import CURVE_COLUMNS, RECORD, RunRecord, curve_csv, curve_row
+from silem.study.training import Checkpoint
 from silem.util import files
 from silem.util.errors import SilemError
 

@@ -41,6 +41,16 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
         ("campaign --workers 0 --method random", "--workers: '0' is no whole number from 1"),
         ("campaign --method silem --budget tiny", "needs demonstrations of HC0"),
+        ("work", "arguments are required: STUDY"),
+        ("work chess", "unknown study 'chess'"),
+        ("work ant --minutes 0", "--minutes: '0' is no whole number from 1"),
+        ("work ant --method silem --budget tiny", "needs demonstrations of Ant0"),
+        ("search ant", "a search is STUDY/BODY/METHOD, not 'ant'"),
+        ("search ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
+        ("search ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
+        ("submit ant --on pbs --print", "unknown engine 'pbs'; allowed: slurm, htcondor, dask"),
+        ("submit ant --on slurm --jobs 0", "--jobs: '0' is no whole number from 1"),
+        ("submit ant --on slurm --options nowhere.toml", "cannot read nowhere.toml"),
         ("campaign --body HC9", "unknown body 'HC9'"),
         ("status --study chess", "unknown study 'chess'"),
         ("evaluate ppo_HC0", "no finished run 'ppo_HC0'"),
@@ -191,14 +201,13 @@ def test_a_body_of_ones_own_by_import(data: Path) -> None:
     code = f"""
 import sys
 from silem import bodies, cli
-from silem.study.campaign import campaign
+from silem.study import work
 from silem.study.config import RunConfig
 
 assert cli.main({words.split()!r}) == 0
 config = RunConfig.create("HC1p5", "random", seed=1, study="mine")
 print(config.command)
-(record,) = campaign([config], n_workers=1, progress=False)
-print(record.run_id == config.run_id)
+work.work([config], progress=False, made=lambda record: print(record.run_id == config.run_id))
 """
     done = python("-c", code, cwd=data)
     assert done.returncode == 0, done.stderr

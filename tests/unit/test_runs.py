@@ -19,11 +19,11 @@ from silem import bodies
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, settings, training
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import RandomPolicy, evaluate, load_policy
 from silem.study.record import (
+    CHECKPOINT,
     CURVE,
     CURVE_COLUMNS,
     POLICY,
@@ -35,6 +35,7 @@ from silem.study.record import (
     thinned,
 )
 from silem.study.settings import Budget
+from silem.study.training import Checkpoint
 from silem.util import files, paths, seeding
 from silem.util.errors import SilemError
 
