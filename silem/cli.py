@@ -102,13 +102,13 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
     whole = _Parser(
         prog="silem",
-        description="Imitation learning across bodies: runs, campaigns and their records.",
+        description="Imitation learning across bodies: runs, studies and their records.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action="version", version=f"silem {silem.__version__}")
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
-    trial, count = _whole(0, 2**31 - 1), _whole(1)
+    trial, count, usual = _whole(0, 2**31 - 1), _whole(1), "default: %(default)s"
 
     def command(execute: Callable[[argparse.Namespace], None]) -> Callable[..., Any]:
         """Add a command, named and described as its function is, and return what adds options."""
@@ -139,57 +139,52 @@ def parser() -> argparse.ArgumentParser:
         add("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
         add("--config", type=Path, help="a JSON configuration instead of all these")
 
+    def add_runs(add: Callable[..., Any], only: bool = True) -> None:
+        add_budget(add, "book")
+        add("--trials", type=count, help="per cell; default: as many as budget and study have")
+        add("--sample", type=count, metavar="N", help="only the first N configurations of a search")
+        for what in ("body", "method") if only else ():
+            add(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
+
+    def add_loop(add: Callable[..., Any], workers: int | None = None) -> None:
+        many = "so many processes, with one bar; default: this one alone"
+        add("--workers", type=_whole(1, 1024), default=workers, metavar="K", help=many)
+        add("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then")
+        add("--retry", action="store_true", help="also what has failed before")
+
     add = command(_run)
     add_cell(add)
     add("--force", action="store_true", help="start anew, even if finished")
     add("--wait", action="store_true", help="wait for another process at work on this run")
 
-    def add_work(add: Callable[..., Any], *, studies: bool = True) -> None:
-        if studies:
-            several = "studies, or searches STUDY/BODY/METHOD"
-            add("studies", nargs="+", metavar="STUDY", help=several)
-        add_budget(add, "book")
-        add("--trials", type=count, help="per cell; default: as many as budget and study have")
-        add("--sample", type=count, metavar="N", help="only the first N configurations of a search")
-
-    def add_worker(add: Callable[..., Any]) -> None:
-        add("--body", nargs="+", help="only these learners' bodies")
-        add("--method", nargs="+", help="only these methods")
-
-    def add_loop(add: Callable[..., Any], workers: int | None = None) -> None:
-        many = "so many processes at a time, with one bar; default: this one alone"
-        add("--workers", type=_whole(1, 1024), default=workers, metavar="K", help=many)
-        add("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then")
-        add("--retry", action="store_true", help="also what has failed before")
-
+    several = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
     add = command(_work)
-    add_work(add)
-    add_worker(add)
+    add("studies", nargs="+", **several)
+    add_runs(add)
     add_loop(add)
 
     add = command(_campaign)
-    add("--study", nargs=1, dest="studies", default=["halfcheetah"], help="default: halfcheetah")
-    add_work(add, studies=False)
-    add_worker(add)
+    add("--study", nargs=1, dest="studies", default=["halfcheetah"], **several)
+    add_runs(add)
     add_loop(add, workers=2)
 
+    add = command(_search)
+    add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
+    add_runs(add, only=False)
+    add_loop(add)
+
     add = command(_submit)
-    add_work(add)
-    add_worker(add)
+    add("studies", nargs="+", **several)
+    add_runs(add)
     add("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask")
     add("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4")
     add("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more")
     add("--print", action="store_true", help="show what would be submitted")
 
-    add = command(_search)
-    add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
-    add_work(add, studies=False)
-    add_loop(add)
-
     add = command(_status)
-    add("studies", nargs="*", metavar="STUDY", help="default: halfcheetah")
-    add("--study", nargs=1, dest="study", help=argparse.SUPPRESS)
-    add_work(add, studies=False)
+    add("studies", nargs="*", **several)
+    add("--study", nargs=1, help=argparse.SUPPRESS)
+    add_runs(add, only=False)
 
     add = command(_show)
     add("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
@@ -197,28 +192,26 @@ def parser() -> argparse.ArgumentParser:
 
     add = command(_evaluate)
     add("run_id", metavar="RUN_ID")
-    add("--episodes", type=count, default=10, help="default: %(default)s")
+    add("--episodes", type=count, default=10, help=usual)
 
     add = command(_demonstrations)
     add("--body", help="record its best expert, at --budget")
-    add("--budget", default="book", help="default: %(default)s")
+    add("--budget", default="book", help=usual)
     add("--trial", type=trial, help="that trial's expert instead of the best")
     add("--run", metavar="RUN_ID", help="record this run instead")
-    add("--trajectories", type=count, default=20, help="default: %(default)s")
+    add("--trajectories", type=count, default=20, help=usual)
     add("--force", action="store_true", help="replace another expert's")
 
     add = command(_render)
     add("run_id", metavar="RUN_ID")
-    endings = ", ".join(FILM_ENDINGS)
-    add("--out", type=_film, required=True, help=f"the file to write ({endings})")
-    longest = f"up to {LONGEST_FILM_S:.0f}; default: %(default)s"
+    add("--out", type=_film, required=True, help=f"the file to write ({', '.join(FILM_ENDINGS)})")
+    longest = f"up to {LONGEST_FILM_S:.0f}; {usual}"
     add("--seconds", type=_seconds, default=6.0, help=longest)
     add("--seed", type=trial, default=0)
 
     add = command(_verify)
     add("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
-    of_each = "of each policy (default: %(default)s)"
-    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=of_each)
+    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=f"of each policy; {usual}")
 
     command(_bodies)
 
@@ -245,7 +238,7 @@ def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
 
 
 def _seconds(text: str) -> float:
-    value = float(text) if text.replace(".", "", 1).isdecimal() else 0.0
+    value = float(text) if text.isascii() and text.replace(".", "", 1).isdecimal() else 0.0
     if not 0 < value <= LONGEST_FILM_S:
         raise _refused(text, f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}")
     return value
@@ -253,10 +246,8 @@ def _seconds(text: str) -> float:
 
 def _film(text: str) -> Path:
     path = Path(text)
-    if path.suffix not in FILM_ENDINGS:
-        raise _refused(text, f"ends in none of {', '.join(FILM_ENDINGS)}")
-    if path.is_dir():
-        raise _refused(text, "is a folder")
+    if path.suffix not in FILM_ENDINGS or path.is_dir():
+        raise _refused(text, f"is a folder, or ends in none of {', '.join(FILM_ENDINGS)}")
     return path
 
 
@@ -362,18 +353,16 @@ def _work(options: argparse.Namespace) -> None:
     """Make what is missing of studies, run after run."""
     from silem.study import work
 
-    configs = _configs(options)
+    def made(record: RunRecord) -> None:
+        _print_evaluation(record.run_id, record.evaluation)
+
+    configs, progress = _configs(options), not options.quiet
     for config in configs if options.retry else ():
         runs.forgive(config)
     if options.workers:
-        work.crew(_words(options), configs, options.workers, not options.quiet)
-        return
-    work.work(
-        configs,
-        options.minutes or math.inf,
-        not options.quiet,
-        lambda record: _print_evaluation(record.run_id, record.evaluation),
-    )
+        work.crew(_words(options), configs, options.workers, progress)
+    else:
+        work.work(configs, options.minutes or math.inf, progress, made)
 
 
 def _campaign(options: argparse.Namespace) -> None:

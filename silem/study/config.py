@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from silem import bodies
@@ -125,7 +126,7 @@ class RunConfig:
         lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
         return "\n".join([self.run_id, *lines])
 
-    @property
+    @cached_property
     def run_id(self) -> str:
         """A readable name that ends in a hash of the configuration alone."""
         content = self.to_dict()

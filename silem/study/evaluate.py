@@ -209,12 +209,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def record_episodes(
-    policy: Policy,
-    body: str,
-    n_trajectories: int = 20,
-    *,
-    run_id: str = "",
-    progress: bool = False,
+    policy: Policy, body: str, n_trajectories: int = 20, *, run_id: str = "", progress: bool = False
 ) -> Demonstrations:
     """Record so many `episodes` of an expert's policy as state-only demonstrations.
 

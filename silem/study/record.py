@@ -11,6 +11,7 @@ import subprocess
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -103,9 +104,13 @@ class RunRecord:
         content = {k: v for k, v in content.items() if v is not None or k not in _LATER}
         files.write_json(folder / RECORD, content)
 
-    def run_config(self) -> RunConfig:
-        """Return the configuration, checked anew."""
+    @cached_property
+    def _checked(self) -> RunConfig:
         return RunConfig.from_dict(self.config)
+
+    def run_config(self) -> RunConfig:
+        """Return the configuration, checked when it is first asked for."""
+        return self._checked
 
     def file(self, name: str) -> Path:
         """Return the path of one of the record's files, after checking its hash.

@@ -11,6 +11,7 @@ import dataclasses
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple
 
 from silem import bodies, paper
@@ -126,6 +127,7 @@ class HyperParameters:
             object.__setattr__(self, item.name, _checked(item, getattr(self, item.name)))
 
     @classmethod
+    @cache
     def used_by(cls, method: str) -> dict[str, dataclasses.Field[Any]]:
         """Return the fields that a method uses, by name, in the class's order."""
         fields = dataclasses.fields(cls)
@@ -379,9 +381,10 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    if wanted and original in bodies.names() and not file_of(wanted).exists():
+    runner, known = original in bodies.names(), bodies.names()
+    if wanted and runner and expert_of(wanted)[0] not in known and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
-        choose("demonstrations", expert_of(wanted)[0], bodies.names())
+        choose("demonstrations", expert_of(wanted)[0], known)
     if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
@@ -402,22 +405,22 @@ def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
     found |= {name: Setting(x, "the body's own") for name, x in bodies.get(body).parameters.items()}
     better = dict(_family(family).chosen)
     if family in FAMILIES:
-        better |= {name: Setting(value, _COMMON) for name, value in paper.common(family).items()}
-    better |= _best(body, method, source, _family(family).stand_in)
+        better |= {name: Setting(value, _COMMON) for name, value in _common(family).items()}
+    # Experts too take SILEM's combination, as far as they use it, where a clip demonstrates: of
+    # the humanoids' PPO the common table leaves the epochs out.
+    clip = _family(family).original not in bodies.names()
+    if METHODS[method].source or (method == "ppo" and clip):
+        better |= _best(body, method, source, _family(family).stand_in)
     return found | {name: setting for name, setting in better.items() if name in found}
 
 
-def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
-    """Return the supplement's best combination of a cell, or of what stands in for it.
+_common = cache(paper.common)
 
-    That is SILEM's where there is none of the method. Experts too take it as far as they use it
-    where a clip demonstrates: of the humanoids' PPO the common table leaves the epochs out.
-    """
-    learns = bool(METHODS[method].source)
-    if method == "ppo":
-        learns = _family(bodies.get(body).family).original not in bodies.names()
-    tried = [(m, b) for m in (method, "silem") for b in (body, stand_in)] if learns else []
-    for wanted, known in tried:
+
+@cache
+def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
+    """Return the supplement's best combination of a cell, else SILEM's, else the stand-in's."""
+    for wanted, known in ((m, b) for m in (method, "silem") for b in (body, stand_in)):
         if table := paper.best_table(known, wanted):
             label = f"supplement, {table.label}, {known}"
             values = paper.best_combination(known, wanted, source if known == body else "")

@@ -198,7 +198,7 @@ def _to_dask(text: str, options: Options) -> str:
     if not options.scheduler:
         raise SilemError("Dask needs the option scheduler, its address")
     try:
-        client = distributed.Client(options.scheduler, timeout=20)
+        client = distributed.Client(options.scheduler, timeout=10)
     except (OSError, ValueError) as error:
         raise SilemError(f"no Dask scheduler at {options.scheduler}: {reason(error)}") from error
     words, moved = shlex.split(text)[1:], environment()

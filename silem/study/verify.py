@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study.config import MAX_RUN_ID, RunConfig
+from silem.study.config import MAX_RUN_ID
 from silem.study.record import (
     CURVE,
     CURVE_COLUMNS,
@@ -26,7 +26,7 @@ from silem.study.record import (
     RunRecord,
     git,
     provenance,
-)  # fmt: skip
+)
 from silem.study.settings import Budget
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
@@ -38,7 +38,6 @@ FASTEST_M_S = 20.0
 TOLERANCE = 5.0
 """On another processor a policy meets other episodes; the mean return of those evaluated anew may
 then differ from the recorded one by so many standard errors of the difference."""
-
 _ROUNDING = 1e-3  # single returns are recorded with three digits after the point
 
 
@@ -54,20 +53,21 @@ class Verdict:
         return f"{self.name}: {self.outcome} ({self.why})"
 
 
-def check(folder: Path) -> RunRecord:
+def check(folder: Path, *, with_files: bool = True) -> RunRecord:
     """Load the record in a folder and check that it is whole and agrees with itself.
 
     Checked are its configuration (through the one strict door), that the run id is the
     configuration's and the folder's name, its counts against the configuration, its means and
-    deviations against the single returns, that every number lies where it can, and every file
-    beside it: its SHA-256, whose it is, and that it can be read.
+    deviations against the single returns, that every number lies where it can, and (`with_files`)
+    every file beside it: its SHA-256, whose it is, and that it can be read.
 
     Raises:
         SilemError: Naming the folder and what is wrong.
     """
     record = RunRecord.load(folder)
     try:
-        for fault in _faults(record, folder.name):
+        faults = itertools.chain(_faults(record, folder.name), _faults_of_files(record, with_files))
+        if fault := next(faults, ""):
             raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
@@ -81,8 +81,6 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
     config, evaluation, training = record.run_config(), record.evaluation, record.training
     if not config.run_id == record.run_id == name:
         yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
-    yield from _not_finite({"evaluation": evaluation, "training": training})
-
     returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
     if not len(returns) == evaluation["n_episodes"] == n_episodes:
         counted = f"{len(returns)} returns of {evaluation['n_episodes']} episodes"
@@ -93,7 +91,6 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
     for kind, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
         if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
             yield f"return_{kind} is not the {kind} of the episodes' returns"
-
     # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
     # What other environments pay is not known, nor how fast they are.
     speed_m_s = evaluation["speed_m_s"]
@@ -105,45 +102,35 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
         ("wall_time_s", record.wall_time_s, 0.0, math.inf),
         ("processor_time_s", record.processor_time_s, 0.0, math.inf),
         ("steps_per_s", training["steps_per_s"], 0.0, math.inf),
+        ("disc_reward_last", training["disc_reward_last"], -math.inf, math.inf),
+        ("disc_reward_mean", evaluation["disc_reward_mean"], -math.inf, math.inf),
     ):
-        if value is not None and not (low <= value <= high and value < math.inf):
+        if value is not None and not (low <= value <= high and math.isfinite(value)):
             yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
-    yield from _faults_of_files(record, config)
 
 
-def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
+def _faults_of_files(record: RunRecord, wanted: bool) -> Iterator[str]:
+    config = record.run_config()
     if record.status != "finished":
         yield f"status is {record.status!r}; a record is of a finished run"
     if (record.demonstrations_sha256 is None) != (not config.demonstrations):
         yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
-
     expected = [] if config.method == "random" else [CURVE, POLICY]
     expected += [TRANSFORM] if config.transform == "affine" else []
-    if sorted(record.files) != sorted(expected):
-        yield f"it has the files {sorted(record.files)}; expected: {sorted(expected)}"
-    if POLICY in expected:
+    if sorted(record.files) != expected:
+        yield f"it has the files {sorted(record.files)}; expected: {expected}"
+    if wanted and POLICY in record.files:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
             yield f"{POLICY} is the policy of {about.get('run_id')!r}"
         yield from _faults_of_curve(files.read_csv(record.file(CURVE)), config.budget)
-    if TRANSFORM in expected:
+    if wanted and TRANSFORM in record.files:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
         if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
             yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
         if not all(np.isfinite(array).all() for array in arrays.values()):
             yield f"{TRANSFORM} holds NaN or infinity"
-
-
-def _not_finite(value: Any, where: str = "record") -> Iterator[str]:
-    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield f"{where} is not finite"
-    if isinstance(value, list):
-        value = dict(enumerate(value))
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            yield from _not_finite(entry, f"{where}.{key}")
 
 
 def _faults_of_curve(columns: dict[str, np.ndarray], budget: Budget) -> Iterator[str]:
@@ -225,11 +212,8 @@ def _evaluated(record: RunRecord, n: int) -> Verdict:
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
     for name in ("speed_m_s", "upright") if n == total else ():
-        values = [getattr(episode, name) for episode in there]
-        if evaluation[name] is None:
-            same = same and set(values) == {None}
-        else:
-            same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
+        values, told = [getattr(episode, name) for episode in there], evaluation[name]
+        same &= set(values) == {None} if told is None else abs(np.mean(values) - told) <= 1e-9
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
         return Verdict(record.run_id, EXACT, why)
@@ -259,8 +243,13 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
     results = paths.data_dir() / "results"
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
-    elif demos.manifest():
-        yield from map(_verify_demonstrations, demos.manifest())
+    for published in demos.manifest() if name is None else ():
+        try:
+            n, outcome = len(demos.load_published(published)[0].features), SOUND
+            why = f"{n} trajectories, SHA-256 as published"
+        except SilemError as error:
+            outcome, why = NOT, str(error)
+        yield Verdict(f"demonstrations {published}", outcome, why)
     records = sorted(results.glob(f"{name or '*'}/*/{RECORD}"))
     records = records or sorted(results.glob(f"*/{name}/{RECORD}"))
     records = records or sorted(paths.runs_dir().glob(f"*/{name}/{RECORD}"))
@@ -268,12 +257,3 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
         raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
     for path in records:
         yield verify(path.parent, n_episodes)
-
-
-def _verify_demonstrations(name: str) -> Verdict:
-    label = f"demonstrations {name}"
-    try:
-        there, _ = demos.load_published(name)
-    except SilemError as error:
-        return Verdict(label, NOT, str(error))
-    return Verdict(label, SOUND, f"{len(there.features)} trajectories, SHA-256 as published")

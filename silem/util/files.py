@@ -107,9 +107,16 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON."""
+    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON.
+
+    NaN and Infinity are not, although Python reads them.
+    """
+
+    def refuse(constant: str) -> float:
+        raise ValueError(f"it holds {constant}")
+
     with _content(path, "no valid JSON") as data:
-        return json.loads(data)
+        return json.loads(data, parse_constant=refuse)
 
 
 def read_csv(path: Path) -> dict[str, np.ndarray]:

@@ -76,7 +76,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
         ("run --body HC0 --config a.json --seed 0", "--config says all that --body, --seed would"),
         ("evaluate ppo_HC0 --episodes 0", "'0' is no whole number from 1"),
-        ("render ppo_HC0 --out x.xyz", "'x.xyz' ends in none of .mp4, .webp"),
+        ("render ppo_HC0 --out x.xyz", "'x.xyz' is a folder, or ends in none of .mp4, .webp"),
         ("render ppo_HC0 --out x.mp4 --seconds 1e12", "'1e12' is no number of seconds above 0"),
         ("render ppo_HC0 --out x.mp4 --seconds nan", "'nan' is no number of seconds"),
         ("render ppo_HC0 --out x.mp4 --seed -1", "'-1' is no whole number from 0"),
@@ -305,6 +305,26 @@ def test_stopping_while_options_are_parsed_is_one_line(sent: str, data: Path) ->
     (data / "slow.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
     done = python("-m", "silem", "status", "--import", "slow", cwd=data)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "silem: stopped\n")
+
+
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_stopping_while_the_package_loads_is_silent(sent: str, data: Path) -> None:
+    """As soon as the package's first line has run; what Python does before is its own."""
+    (data / "numpy.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
+    done = python("-m", "silem", "bodies", cwd=data)
+    assert (done.returncode, done.stdout, done.stderr) == (-getattr(signal, sent), "", "")
+    script = data / "silem"  # as pip writes it
+    script.write_text("import sys\nfrom silem.cli import main\nsys.exit(main())\n")
+    done = python(str(script), "bodies", cwd=data)
+    assert (done.returncode, done.stdout, done.stderr) == (-getattr(signal, sent), "", "")
+
+
+def test_a_program_that_imports_the_package_keeps_its_ctrl_c(data: Path) -> None:
+    (data / "program.py").write_text(
+        "import os, signal\nimport silem\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "except KeyboardInterrupt:\n    print('caught')\n"
+    )
+    assert python("program.py", cwd=data).stdout == "caught\n"
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
