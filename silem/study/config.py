@@ -104,7 +104,7 @@ class RunConfig:
     def settings(self) -> dict[str, Setting]:
         """Return every hyper-parameter in use with where it comes from."""
         resolved = settings.resolve(self.body, self.method, self.demonstrations)
-        values = dataclasses.asdict(self.hyper) | dict(self.parameters)
+        values = vars(self.hyper) | dict(self.parameters)
         return {
             name: setting if setting.value == values[name] else Setting(values[name], "this run")
             for name, setting in resolved.items()
@@ -151,9 +151,8 @@ class RunConfig:
             "study": study,
         }
         words = ["silem run", *(f"--{option} {said}" for option, said in options.items() if said)]
-        usual = settings.resolve(self.body, self.method, self.demonstrations)
-        for name, (value, _) in self.settings().items():
-            if value != usual[name].value:
+        for name, (value, source) in self.settings().items():
+            if source == "this run":
                 text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
