@@ -56,9 +56,7 @@ class RunConfig:
         Args:
             body: The learner's body.
             method: One of `METHODS`.
-            demonstrations: The expert's body or a clip of motion. None means the family's
-                original body (humanoids: the human's clip), or the learner's own for
-                ``silem-minus-own``, or the clip retargeted to the learner for ``peng20``.
+            demonstrations: The expert's body or a clip of motion; None means the paper's.
             budget: One of `BUDGETS`, or a `Budget` of your own.
             seed: The root seed of every random stream of the run.
             study: The folder the run belongs to; None means the body's family.
@@ -66,8 +64,7 @@ class RunConfig:
                 supplement's best combination for this cell.
 
         Raises:
-            SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
-                method.
+            SilemError: Anything unknown, out of range, or of no use to the method.
         """
         learner = bodies.get(body)
         choose("method", method, METHODS)
@@ -158,10 +155,7 @@ class RunConfig:
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain JSON types, with the used hyper-parameters only.
-
-        A body of one's own is part of it as `silem.bodies.own.identity`.
-        """
+        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body."""
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
@@ -182,8 +176,7 @@ class RunConfig:
         """Rebuild a configuration from `to_dict`, through the same checks.
 
         Raises:
-            SilemError: A key is missing or unknown, a value is not allowed, or the body is another
-                one now.
+            SilemError: As `create`, or the body is another one now.
         """
         keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:
@@ -195,13 +188,8 @@ class RunConfig:
                 advice = f"; --import {module} loads that" if module else ""
                 raise SilemError(f"{body} is not the body that this run is of{advice}")
             return cls.create(
-                body,
-                content["method"],
-                content["demonstrations"] or None,
-                Budget(**content["budget"]),
-                content["seed"],
-                content["study"],
-                **content["hyper"],
-            )
+                body, content["method"], content["demonstrations"] or None,
+                Budget(**content["budget"]), content["seed"], content["study"], **content["hyper"],
+            )  # fmt: skip
         except (AttributeError, KeyError, TypeError) as error:
             raise SilemError(f"no valid run configuration: {reason(error)}") from error

@@ -63,14 +63,13 @@ def demonstrate(
     force: bool = False,
     progress: bool = False,
 ) -> Path:
-    """Record state-only demonstrations of a finished run's stochastic policy and publish them.
+    """Record and publish state-only demonstrations of a finished run's stochastic policy.
 
     Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
     file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
 
     Raises:
-        SilemError: The run is no expert's, or, without `force`, there are demonstrations of this
-            name by another run already.
+        SilemError: The run is no expert's, or another's are there already, and no `force`.
     """
     from silem.study.evaluate import load_policy, record_episodes
 
@@ -130,11 +129,7 @@ class Gait(NamedTuple):
 
 
 def gait(demonstrations: Demonstrations) -> Gait:
-    """Measure the gait of a runner's demonstrations over all of their states.
-
-    Raises:
-        SilemError: They are no runner's.
-    """
+    """Measure the gait of a runner's demonstrations over all states; SilemError for others."""
     states = np.concatenate(demonstrations.features)
     at_limits = joints_at_limit(states, demonstrations.body)
     pitch = pitch_rad(states)
@@ -156,11 +151,7 @@ def pitch_rad(features: np.ndarray) -> np.ndarray:
 
 
 def joints_at_limit(features: np.ndarray, body: str) -> np.ndarray:
-    """Count the joints at their limits in every state, (..., F) to (...).
-
-    Raises:
-        SilemError: The body is no runner, or has another number of features.
-    """
+    """Count the joints at their limits in a runner's every state, (..., F) to (...)."""
     found = bodies.get(body)
     if not isinstance(found, BulletBody):
         raise SilemError(f"a gait is measured on HalfCheetahs and Ants, not on {body}")

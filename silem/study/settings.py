@@ -134,15 +134,12 @@ class HyperParameters:
         return {item.name: item for item in fields if method in item.metadata["methods"]}
 
     def of_method(self, method: str) -> dict[str, Any]:
-        """Return what identifies a run of a method: the values it uses, by name.
-
-        Optional hyper-parameters are left out at their defaults.
-        """
-        values = {name: getattr(self, name) for name in self.used_by(method)}
-        for name, item in self.used_by(method).items():
-            if item.metadata.get("optional") and values[name] == item.default:
-                del values[name]
-        return values
+        """Return what identifies a run: the values that its method uses, optional ones if set."""
+        return {
+            name: value
+            for name, item in self.used_by(method).items()
+            if (value := getattr(self, name)) != item.default or "optional" not in item.metadata
+        }
 
 
 LARGEST = 10**9
@@ -262,6 +259,9 @@ class FamilySettings:
 
 
 _MUJOCO = paper.common("humanoid")
+_GRID, _FEW = paper.grid_values("tab4_h"), "T makes one or two steps an iteration here"
+_SHAKES = "torques that shake with deviation 1 throw a humanoid over"
+_SMOOTH = "with 1, D is so smooth that standing earns a third of the reward"
 _BATCH = {"n_envs": 16, "steps_per_iteration": _MUJOCO["steps_per_iteration"]}
 # At 600 iterations Ant0's expert still rose; the paper trains the Ants' for 1000.
 _ANTS = {"n_iterations": paper.number("ant_expert_iterations")}
@@ -275,18 +275,10 @@ FAMILIES = {
             "policy_hidden": Setting(tuple(paper.number("humanoid_policy_hidden")), _TEXT),
             "disc_hidden": Setting(tuple(paper.number("humanoid_disc_hidden")), _TEXT),
             "n_trajectories": Setting(1, "one clip"),
-            "log_std_init": Setting(
-                -1.6, "open: torques that shake with deviation 1 throw a humanoid over"
-            ),
-            "gradient_penalty": Setting(
-                0.1, "open: with 1, D is so smooth that standing earns a third of the reward"
-            ),
-            "transform_learning_rate": Setting(
-                1e-3, "open: T makes one or two steps an iteration here"
-            ),
-            "n_transform_updates": Setting(
-                paper.grid_values("tab4_h")["N_G"][0], "supplement, the grid's one value"
-            ),
+            "log_std_init": Setting(-1.6, f"open: {_SHAKES}"),
+            "gradient_penalty": Setting(0.1, f"open: {_SMOOTH}"),
+            "transform_learning_rate": Setting(1e-3, f"open: {_FEW}"),
+            "n_transform_updates": Setting(_GRID["N_G"][0], "supplement, the grid's one value"),
             "transform_lr_decay": Setting(1.0, "supplement: Atlas's grid has no decay"),
         },
         {
@@ -313,10 +305,9 @@ def _namesake(budget: Budget) -> Budget | None:
 
 
 def of_family(budget: Budget, family: str) -> Budget:
-    """Return a budget with the counts it has on a family, the same for every body and method.
+    """Return a budget with the counts it has on a family; one that is not of `BUDGETS` as it is.
 
-    A budget with a number of iterations of its own keeps that; one that is not among `BUDGETS`
-    stays as it is.
+    A number of iterations of its own is kept.
     """
     if budget != _namesake(budget):
         return budget
@@ -327,12 +318,9 @@ def of_family(budget: Budget, family: str) -> Budget:
 
 
 def check_counts(budget: Budget, family: str) -> None:
-    """Refuse a budget that bears the name of one of `BUDGETS` without its counts.
+    """Refuse (SilemError) a budget that bears the name of one of `BUDGETS` without its counts.
 
     Its runs would pass for evidence. Finished runs are not asked: counts change over time.
-
-    Raises:
-        SilemError: Naming what differs.
     """
     if (named := _namesake(budget)) is None:
         return
@@ -359,10 +347,11 @@ def expert_of(name: str) -> tuple[str, int | None]:
 
 
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
-    """Return the name of the demonstrations of one cell: those wanted, or the paper's.
+    """Return the name of a cell's demonstrations: those wanted, or the paper's.
 
-    Raises:
-        SilemError: The method does not learn from those wanted.
+    That is the family's original body's or the human's clip, the learner's own for
+    ``silem-minus-own``, the clip retargeted to the learner for ``peng20``. Raises SilemError if
+    the method does not learn from those wanted.
     """
     source, family = METHODS[method].source, bodies.get(body).family
     original = _family(family).original

@@ -43,17 +43,14 @@ class Options:
             SilemError: The file cannot be read, or a key is unknown or of another type; the
                 message names key and line.
         """
-        if path is None:
-            return cls()
         try:
-            text = path.read_text()
+            text = path.read_text() if path else ""
             given = tomllib.loads(text)
         except (OSError, ValueError) as error:
             raise SilemError(f"cannot read {path}: {reason(error)}") from error
         known = {item.name: item.default for item in dataclasses.fields(cls)}
         for key, value in given.items():
-            lines = enumerate(text.splitlines(), 1)
-            line = next((i for i, row in lines if row.lstrip(" \t[\"'").startswith(key)), 1)
+            rows = [row.lstrip(" \t[\"'").startswith(key) for row in text.splitlines()]
             try:
                 default = known[choose("option", key, known)]
                 if isinstance(default, tuple) and isinstance(value, list):
@@ -63,41 +60,9 @@ class Options:
                 if type(value) is not type(default) or (isinstance(value, int) and value < 1):
                     raise SilemError(f"{key} must be like {default!r} (no number below 1)")
             except SilemError as error:
-                raise SilemError(f"{path}, line {line}: {error}") from error
+                raise SilemError(f"{path}, line {rows.index(True) + 1}: {error}") from error
         return cls(**given)
 
-
-def submission(engine: str, words: Sequence[str], options: Options) -> str:
-    """Return what is handed over: a script for sbatch, or a description for condor_submit.
-
-    Args:
-        engine: One of `ENGINES`.
-        words: What follows ``silem`` on a loop's command line.
-        options: The options.
-
-    Raises:
-        SilemError: Such an engine is not known.
-    """
-    return ENGINES[choose("engine", engine, ENGINES)][0](_loop(words, options), options)
-
-
-def submit(engine: str, words: Sequence[str], options: Options) -> str:
-    """Hand loops over and return what the scheduler says; Dask is waited for, which has no queue.
-
-    Raises:
-        SilemError: There is no such scheduler here, or it refuses.
-    """
-    text = submission(engine, words, options)
-    (paths.runs_dir() / "log").mkdir(parents=True, exist_ok=True)
-    return ENGINES[engine][1](text, options)
-
-
-def _loop(words: Sequence[str], options: Options) -> list[str]:
-    minutes = max(1, options.minutes - -(-options.margin_s // 60))
-    return [sys.executable, "-m", "silem", *words, "--minutes", str(minutes), "--quiet"]
-
-
-# ---------------------------------------------------------------- SLURM
 
 # `wait` is cut short by a signal that is trapped, hence twice. A loop that ends for want of time
 # queues again; one that is cancelled does not, and one that is preempted is queued by SLURM.
@@ -122,24 +87,10 @@ wait $!; code=$?
 [ $code -eq {stopped} ] && [ -z "$cancelled" ] && scontrol requeue "$SLURM_JOB_ID"
 exit $code
 """
-
-
-def _slurm(loop: Sequence[str], options: Options) -> str:
-    exports = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
-    return _SLURM.format(
-        **dataclasses.asdict(options)
-        | {"lines": "\n".join(options.lines), "setup": "\n".join([*exports, *options.setup])},
-        logs=paths.runs_dir() / "log", loop=shlex.join(loop), stopped=STOPPED,
-    )  # fmt: skip
-
-
-# ---------------------------------------------------------------- HTCondor
-
 _HTCONDOR = """\
 universe = vanilla
 executable = /bin/bash
-arguments = "-c '{loop}'"
-environment = "{environment}"
+arguments = "-c '{quoted}'"
 request_cpus = 1
 request_memory = {memory_mb} MB
 should_transfer_files = NO
@@ -152,45 +103,60 @@ log = {logs}/htcondor-$(Cluster).log
 {lines}
 queue {jobs}
 """
+_DASK = "{setup}\nexec {loop} --with-input\n"
+ENGINES = {
+    "slurm": (_SLURM, ("sbatch",)),
+    "htcondor": (_HTCONDOR, ("condor_submit", "-")),
+    "dask": (_DASK, ()),
+}
+"""By name: what an engine is given, and the command that it is piped into."""
 
 
-def _htcondor(loop: Sequence[str], options: Options) -> str:
-    def quoted(text: str) -> str:
-        return text.replace("'", "''").replace('"', '""').replace("$", "$(DOLLAR)")
+def submission(engine: str, words: Sequence[str], options: Options) -> str:
+    """Return what is handed over: a script for sbatch or Dask, or what condor_submit reads.
 
-    command = "; ".join([*options.setup, f"exec {shlex.join(loop)}"])
-    pairs = (f"{name}='{quoted(value)}'" for name, value in environment().items())
-    return _HTCONDOR.format(
-        **dataclasses.asdict(options) | {"lines": "\n".join(options.lines)},
-        loop=quoted(command), environment=" ".join(pairs),
-        logs=paths.runs_dir() / "log", stopped=STOPPED, again=_AGAIN,
+    `words` are what follows ``silem`` on a loop's command line.
+
+    Raises:
+        SilemError: Such an engine is not known.
+    """
+    text, _ = ENGINES[choose("engine", engine, ENGINES)]
+    minutes = max(1, options.minutes - -(-options.margin_s // 60))
+    words = [sys.executable, "-m", "silem", *words, "--minutes", str(minutes), "--quiet"]
+    exports = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
+    setup, loop = "\n".join([*exports, *options.setup]), shlex.join(words)
+    # in HTCondor's quotes a quote of either kind is written twice
+    quoted = f"{setup}\nexec {loop}".replace("'", "''").replace('"', '""').replace("\n", "; ")
+    said = dataclasses.asdict(options) | {"lines": "\n".join(options.lines), "setup": setup}
+    return text.format(
+        **said, loop=loop, quoted=quoted.replace("$", "$(DOLLAR)"), again=_AGAIN, stopped=STOPPED,
+        logs=paths.runs_dir() / "log",
     )  # fmt: skip
 
 
-def _piped(*command: str) -> Any:
-    def send(text: str, options: Options) -> str:
-        try:
-            done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
-        except OSError as error:
-            raise SilemError(
-                f"there is no {command[0]} here ({reason(error)}); submit where there is one, or"
-                " see what would be submitted with --print"
-            ) from error
-        if done.returncode:
-            raise SilemError(f"{command[0]} refuses: {reason(ValueError(done.stderr))}")
-        return done.stdout.strip()
+def submit(engine: str, words: Sequence[str], options: Options) -> str:
+    """Hand loops over and return what the scheduler says; Dask is waited for, which has no queue.
 
-    return send
+    Raises:
+        SilemError: There is no such scheduler here, or it refuses.
+    """
+    text = submission(engine, words, options)
+    (paths.runs_dir() / "log").mkdir(parents=True, exist_ok=True)
+    if not (command := ENGINES[engine][1]):
+        return _to_dask(text, options)
+    try:
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise SilemError(
+            f"there is no {command[0]} here ({reason(error)}); submit where there is one, or see"
+            " what would be submitted with --print"
+        ) from error
+    if done.returncode:
+        raise SilemError(f"{command[0]} refuses: {reason(ValueError(done.stderr))}")
+    return done.stdout.strip()
 
 
-# ---------------------------------------------------------------- Dask
-
-
-def _dask(loop: Sequence[str], options: Options) -> str:
-    return shlex.join(loop) + "\n"
-
-
-def _to_dask(text: str, options: Options) -> str:
+def _to_dask(script: str, options: Options) -> str:
     try:
         import distributed
     except ModuleNotFoundError as error:
@@ -201,17 +167,15 @@ def _to_dask(text: str, options: Options) -> str:
         client = distributed.Client(options.scheduler, timeout=10)
     except (OSError, ValueError) as error:
         raise SilemError(f"no Dask scheduler at {options.scheduler}: {reason(error)}") from error
-    words, moved = shlex.split(text)[1:], environment()
     codes: list[int] = []
     with client:
 
         def hand_over() -> Any:
-            return client.submit(loop_on_dask, words, moved, options.setup, pure=False)
+            return client.submit(loop_on_dask, script, pure=False)
 
         going = distributed.as_completed([hand_over() for _ in range(options.jobs)])
         for future in going:
-            # the loop's worker was lost, or its time is over
-            lost = future.status != "finished"
+            lost = future.status != "finished"  # with the worker that it was on
             code, said = (STOPPED, str(future.exception())) if lost else future.result()
             if code == STOPPED and len(codes) < _AGAIN:
                 going.add(hand_over())
@@ -221,25 +185,12 @@ def _to_dask(text: str, options: Options) -> str:
     return f"{codes.count(0)} loops have ended"
 
 
-def loop_on_dask(
-    words: Sequence[str], moved: dict[str, str], setup: Sequence[str]
-) -> tuple[int, str]:
+def loop_on_dask(script: str) -> tuple[int, str]:
     """Work on a Dask worker, in a process that ends with it; return code and last words."""
-    import os
-
-    command = "; ".join([*setup, f"exec {shlex.join([sys.executable, *words, '--with-input'])}"])
     with subprocess.Popen(
-        ["/bin/bash", "-c", command], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, env=os.environ | moved,
+        ["/bin/bash", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, text=True,
     ) as process:  # fmt: skip
         assert process.stdout is not None
         lines = process.stdout.read().strip().splitlines()
         return process.wait(), lines[-1] if lines else ""
-
-
-ENGINES = {
-    "slurm": (_slurm, _piped("sbatch")),
-    "htcondor": (_htcondor, _piped("condor_submit", "-")),
-    "dask": (_dask, _to_dask),
-}
-"""By name: what tells an engine of a loop, and what hands it over."""

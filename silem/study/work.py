@@ -15,7 +15,9 @@ import traceback
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 from tqdm import tqdm
@@ -259,8 +261,8 @@ def describe(config: RunConfig) -> str:
 def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     """Return what tells how many seconds a step of a run takes, its evaluation included.
 
-    That is measured: by the run itself, else by finished or unfinished ones of the same method and
-    body, the same body, the same method, or any; None where nothing was measured.
+    That is measured: by the run itself, else by others of the same method and body, the same
+    method, the same body, or any; None where nothing was measured.
     """
     spent: dict[tuple[str, str], list[float]] = defaultdict(list)
 
@@ -275,13 +277,13 @@ def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     for config in configs:
         enough = len(spent[config.method, config.body]) >= _ENOUGH or config.method == "random"
         if not enough and (one := measured(config)):
-            for kind in ((config.method, config.body), ("", config.body), (config.method, ""), ()):
-                spent[kind or ("", "")].append(one)
+            for kind in product((config.method, ""), (config.body, "")):
+                spent[kind].append(one)
 
     def of(config: RunConfig) -> float | None:
-        kinds = ((config.method, config.body), ("", config.body), (config.method, ""), ("", ""))
-        found = next((spent[kind] for kind in kinds if spent.get(kind)), None)
-        return measured(config) or (sum(found) / len(found) if found else None)
+        kinds = product((config.method, ""), (config.body, ""))
+        found = next((spent[kind] for kind in kinds if spent.get(kind)), [])
+        return measured(config) or (mean(found) if found else None)
 
     return of
 

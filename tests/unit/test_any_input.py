@@ -175,9 +175,10 @@ COMMANDS: dict[str, argparse.ArgumentParser] = next(
     if isinstance(action, argparse._SubParsersAction)
 )
 SOME = [
-    "HC0", "ant", "silem", "tiny", "quick", "book", "0", "1", "-1", "1e3", "nan", "a=b", "gamma=0.9", "=",
-    "halfcheetah/HC2/silem", "halfcheetah//", "../x", "/", "", "\0", "x.mp4", "slurm", "dask", "no_such_module",
-    "policy_hidden=[8]", "policy_hidden=\"\\d\"", "window=9999999999", "٣", "--", "-", "{}", "9" * 400,
+    "HC0", "ant", "silem", "tiny", "quick", "book", "0", "1", "-1", "1e3", "nan", "a=b", "=", "-",
+    "halfcheetah/HC2/silem", "halfcheetah//", "../x", "/", "", "\0", "x.mp4", "slurm", "dask", "--",
+    "no_such_module", "policy_hidden=[8]", "policy_hidden=\"\\d\"", "window=9999999999",
+    "gamma=0.9", "٣", "{}", "9" * 400,
 ]  # fmt: skip
 
 
@@ -209,8 +210,7 @@ def test_any_command_line(
     monkeypatch.setattr(runs, "run", lambda *args, **kwargs: record)
     monkeypatch.setattr(work, "work", lambda configs, *args: work.check(configs))
     monkeypatch.setattr(work, "crew", lambda words, configs, *args: work.check(configs))
-    for engine, (text, _) in submit.ENGINES.items():
-        monkeypatch.setitem(submit.ENGINES, engine, (text, lambda text, options: text))
+    monkeypatch.setattr(submit, "submit", submit.submission)
     for name in ("publish_clips", "publish_own"):
         monkeypatch.setattr(demonstrator, name, lambda *args, **kwargs: [])
     monkeypatch.setattr(retargeting, "publish_retargeted", lambda *args, **kwargs: [])
