@@ -114,26 +114,24 @@ def fail(config: RunConfig, reason: str) -> None:
 
 
 def forgive(config: RunConfig) -> None:
-    """Forget that a run has failed, if it has."""
-    folder = run_folder(config)
-    if (folder / FAILED).exists():
-        (folder / ATTEMPT).unlink(missing_ok=True)
-        (folder / FAILED).unlink(missing_ok=True)
-
-
-def cut_off(config: RunConfig) -> bool:
-    """Tell whether a run that nobody is at was killed `STARTS` times at the same checkpoint."""
-    path = run_folder(config) / ATTEMPT
-    return path.exists() and files.read_json(path)["starts"] >= STARTS
+    """Forget that a run has failed."""
+    (run_folder(config) / FAILED).unlink(missing_ok=True)
 
 
 @contextmanager
 def _attempt(folder: Path) -> Iterator[None]:
-    """Count how often a run was begun at its checkpoint; only ``kill -9`` leaves the count."""
+    """Count how often a run was begun at its checkpoint; only ``kill -9`` leaves the count.
+
+    Raises:
+        SilemError: It was killed `STARTS` times there; next time the count begins anew.
+    """
     path, checkpoint = folder / ATTEMPT, folder / CHECKPOINT
     reached = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
     before = files.read_json(path) if path.exists() else {}
     starts = before["starts"] + 1 if before.get("reached") == reached else 1
+    if starts > STARTS:
+        path.unlink()
+        raise SilemError(f"it was killed {STARTS} times without getting on")
     files.write_json(path, {"starts": starts, "reached": reached})
     try:
         yield

@@ -138,8 +138,6 @@ def _pass(
 def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
     """Make a run, and first its demonstrations; None where somebody else does, or it has failed."""
     try:
-        if runs.cut_off(config):
-            raise SilemError(f"it was killed {runs.STARTS} times without getting on")
         if experts_of(config):
             (body, trial), name = expert_of(config.demonstrations), config.demonstrations
             record = demonstrate.demonstrator(body, config.budget.base_name, trial)
