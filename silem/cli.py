@@ -48,14 +48,10 @@ The environment variable SILEM_DATA_DIR moves the data folder.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line, what follows ``silem`` or None for the process's, and return its code.
 
-    Args:
-        arguments: What follows ``silem``; None means those of the process.
-
-    Returns:
-        The exit code: 0, 1 where the system refused, 2 on a bad request, 130 on Ctrl-C or SIGTERM,
-        141 where nobody reads the output any more.
+    That is 0, 1 where the system refused, 2 on a bad request, 130 where it was stopped, 141 where
+    nobody reads the output any more.
     """
     try:
         with runs.stoppable():
@@ -231,7 +227,8 @@ def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
         digits = text.lstrip("0") or text[-1:]
         whole = text.isascii() and text.isdecimal() and len(digits) <= len(str(highest))
         if not (whole and lowest <= int(digits) <= highest):
-            raise _refused(text, f"is no whole number from {lowest} to {highest}")
+            why = f"is no whole number from {lowest} to {highest}"
+            raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
         return int(digits)
 
     return convert
@@ -240,19 +237,17 @@ def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
 def _seconds(text: str) -> float:
     value = float(text) if text.isascii() and text.replace(".", "", 1).isdecimal() else 0.0
     if not 0 < value <= LONGEST_FILM_S:
-        raise _refused(text, f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}")
+        why = f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}"
+        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
     return value
 
 
 def _film(text: str) -> Path:
     path = Path(text)
     if path.suffix not in FILM_ENDINGS or path.is_dir():
-        raise _refused(text, f"is a folder, or ends in none of {', '.join(FILM_ENDINGS)}")
+        why = f"is a folder, or ends in none of {', '.join(FILM_ENDINGS)}"
+        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
     return path
-
-
-def _refused(text: str, why: str) -> argparse.ArgumentTypeError:
-    return argparse.ArgumentTypeError(f"{_short(text)} {why}")
 
 
 def _short(text: str) -> str:
@@ -283,9 +278,9 @@ def config_of(options: argparse.Namespace) -> RunConfig:
             raise SilemError(f"--set takes NAME=VALUE, not {_short(text)}")
         choose(f"setting of {method} on {body}", name, allowed)
         overrides[name] = _value(name, value)
-    budget, seed = budget_of(options), options.seed or 0
+    cell = (body, method, options.demonstrations)
     return RunConfig.create(
-        body, method, options.demonstrations, budget, seed, options.study, **overrides
+        *cell, budget_of(options), options.seed or 0, options.study, **overrides
     )
 
 
@@ -340,8 +335,7 @@ def _configs(options: argparse.Namespace) -> list[RunConfig]:
 def _words(options: argparse.Namespace) -> list[str]:
     """Return the command line of a loop that does what these options ask for."""
     words = ["work", *options.studies]
-    named = ("budget", "iterations", "trials", "sample", "body", "method", "minutes")
-    for name in named:
+    for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
         if (said := getattr(options, name, None)) is not None:
             words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
     for module in options.modules:

@@ -111,15 +111,13 @@ class RunConfig:
         """Return every value that makes this run, a line each, with where it comes from."""
         counts = dataclasses.asdict(self.budget)
         budget = f"budget {counts.pop('name')}"
+        body, method = bodies.get(self.body).description, METHODS[self.method].about
         rows = [
-            ("study", self.study, ""),
-            ("body", self.body, bodies.get(self.body).description),
-            ("method", self.method, METHODS[self.method].about),
-            ("demonstrations", self.demonstrations or "none", ""),
-            ("seed", self.seed, ""),
+            ("study", self.study, ""), ("body", self.body, body), ("method", self.method, method),
+            ("demonstrations", self.demonstrations or "none", ""), ("seed", self.seed, ""),
             *((name, count, budget) for name, count in counts.items()),
             *((name, *setting) for name, setting in self.settings().items()),
-        ]
+        ]  # fmt: skip
         lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
         return "\n".join([self.run_id, *lines])
 
@@ -135,18 +133,13 @@ class RunConfig:
     @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
-        name, _, iterations = self.budget.name.partition("-")
-        study = self.study if self.study != bodies.get(self.body).family else ""
+        budget, _, iterations = self.budget.name.partition("-")
         options = {
-            "import": own.module_of(self.body),
-            "body": self.body,
-            "method": self.method,
-            "demonstrations": self.demonstrations,
-            "budget": name,
-            "iterations": iterations,
+            "import": own.module_of(self.body), "body": self.body, "method": self.method,
+            "demonstrations": self.demonstrations, "budget": budget, "iterations": iterations,
             "seed": str(self.seed),
-            "study": study,
-        }
+            "study": self.study if self.study != bodies.get(self.body).family else "",
+        }  # fmt: skip
         words = ["silem run", *(f"--{option} {said}" for option, said in options.items() if said)]
         for name, (value, source) in self.settings().items():
             if source == "this run":

@@ -49,11 +49,7 @@ def run_folder(config: RunConfig) -> Path:
 
 
 def find(run_id: str) -> RunRecord | None:
-    """Return a finished run's record, or None; published records come first.
-
-    Raises:
-        SilemError: `run_id` can be no run's, or the record is damaged.
-    """
+    """Return a finished run's record, published or not, or None; SilemError if it is damaged."""
     check_name("run id", run_id, MAX_RUN_ID)
     for root in (paths.data_dir() / "results", paths.runs_dir()):
         for path in sorted(root.glob(f"*/{run_id}/{RECORD}")):
@@ -62,19 +58,12 @@ def find(run_id: str) -> RunRecord | None:
 
 
 def finished(config: RunConfig) -> RunRecord | None:
-    """Return a run's record if it is finished, else None.
-
-    Raises:
-        SilemError: It was made with other demonstrations than those there are now.
-    """
+    """Return a run's record, or None; SilemError if its demonstrations are not those there now."""
     record = find(config.run_id)
     if record is None or not config.demonstrations:
         return record
-    path = demos.file_of(config.demonstrations)
-    if not path.exists():
-        return record
-    now, then = files.sha256(path), str(record.demonstrations_sha256)
-    if now != then:
+    path, then = demos.file_of(config.demonstrations), str(record.demonstrations_sha256)
+    if path.exists() and (now := files.sha256(path)) != then:
         raise SilemError(
             f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
             f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
@@ -141,19 +130,16 @@ def _attempt(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM as on Ctrl-C while the block runs: one way to stop.
-
-    Python allows this in the main thread alone; elsewhere the block runs as it is.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    """Raise KeyboardInterrupt on SIGTERM as on Ctrl-C while the block runs: one way to stop."""
 
     def interrupt(signal_number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    # A Ctrl-C that is ignored, as in a shell's background jobs, stays so.
-    caught = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) != signal.SIG_IGN]
+    # Python allows this in the main thread alone. What is ignored, as Ctrl-C is in a shell's
+    # background jobs, stays so.
+    main = threading.current_thread() is threading.main_thread()
+    numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+    caught = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
     before = [(number, signal.signal(number, interrupt)) for number in caught]
     try:
         yield
@@ -163,10 +149,7 @@ def stoppable() -> Iterator[None]:
 
 
 def stop_with_input() -> None:
-    """Stop as by SIGTERM when the standard input ends: when whoever holds its other end does.
-
-    The kernel closes a pipe even after ``kill -9``.
-    """
+    """Stop as by SIGTERM when the standard input ends: with its other end, even by ``kill -9``."""
 
     def watch() -> None:
         while os.read(0, 1024):
@@ -311,8 +294,7 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
     """Return a run's demonstrations and their file's SHA-256, or None twice for no imitator.
 
     Raises:
-        SilemError: They are missing, damaged or not those in the manifest; the message says how to
-            make them.
+        SilemError: They are missing (the message says how to make them) or not as published.
     """
     name = config.demonstrations
     if not name:
@@ -322,8 +304,7 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
         check_made_by_an_expert(name)
         raise SilemError(
             f"there are no demonstrations of {name} ({path}); train its expert with `silem run"
-            f" --body {name} --method ppo`, then record it with `silem demonstrations --body"
-            f" {name}` (both take --budget)"
+            f" --body {name} --method ppo`, then `silem demonstrations --body {name}`"
         )
     return demos.load_published(name)
 

@@ -25,16 +25,12 @@ HUMAN = "cmu_08_01"
 
 @dataclass(frozen=True)
 class Method:
-    """One way to make a policy.
-
-    It learns from demonstrations of the "original" body's expert (or the human), of its "own", of
-    the human's clip "retargeted" to its body, or from none ("").
-    """
+    """One way to make a policy."""
 
     about: str
     algorithm: str = ""  # of `silem.algorithms`
     transform: str | None = None
-    source: str = ""
+    source: str = ""  # learns from the "original" body's expert or human, its "own", "retargeted"
 
 
 METHODS = {
@@ -55,10 +51,10 @@ _TRANSFORMED = tuple(name for name, method in METHODS.items() if method.transfor
 
 
 def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: Any) -> Any:
-    """Declare a hyper-parameter: who uses it, its default and where that is from ("": open).
+    """Declare who uses a hyper-parameter, its default and where that is from ("": open).
 
-    Rules are ``choices``, or the range: ``zero`` (0 is allowed), ``most``, ``signed``; and
-    ``optional``: at its default it is no part of a run's identity.
+    Rules: ``choices``, ``zero`` (allowed), ``most``, ``signed``, ``optional`` (at its default it is
+    no part of a run's identity).
     """
     return field(default=default, metadata={"methods": methods, "source": source, **rules})
 
@@ -380,18 +376,18 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
 
 
 def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
-    """Return every hyper-parameter that a method uses on a body, with where it comes from.
+    """Return every hyper-parameter of a method on a body, and the body's, each with its source.
 
     The later overrules the earlier: the defaults, what is chosen for the family, the paper's common
-    table of the family, the paper's best combination of the cell. They are in the order of
-    `HyperParameters`; the parameters of the body come last. `source` names the demonstrations.
+    table of the family, the paper's best combination of the cell. `source` names demonstrations.
     """
-    family = bodies.get(body).family
+    moved = bodies.get(body)
+    family = moved.family
     found = {
         name: Setting(item.default, item.metadata["source"] or "open: this project's default")
         for name, item in HyperParameters.used_by(method).items()
     }
-    found |= {name: Setting(x, "the body's own") for name, x in bodies.get(body).parameters.items()}
+    found |= {name: Setting(value, "the body's own") for name, value in moved.parameters.items()}
     better = dict(_family(family).chosen)
     if family in FAMILIES:
         better |= {name: Setting(value, _COMMON) for name, value in _common(family).items()}

@@ -206,11 +206,7 @@ def cells(study: str) -> list[Cell]:
 
 
 def seeds_of(study: str, budget: Budget, n_trials: int | None = None) -> tuple[int, ...]:
-    """Return the root seeds of a study's trials; None means as many as budget and study have.
-
-    Raises:
-        SilemError: There is no such study, or it has fewer trials than wanted.
-    """
+    """Return the root seeds of a study's trials; None means as many as budget and study have."""
     seeds = study_of(study).seeds
     if n_trials is None:
         return seeds[: budget.n_trials]
@@ -226,14 +222,10 @@ def study_configs(
     sample: int | None = None,
     **only: Sequence[str] | None,
 ) -> list[RunConfig]:
-    """Return the runs of a study: the first trial of every cell before any second.
+    """Return the runs of a study or search: the first trial of every cell before any second.
 
-    Args:
-        study: The study, or a search (see `study_of`).
-        budget: A budget's name, or a `Budget`.
-        n_trials: Trials per cell; None means as many as the budget and the study have.
-        sample: The first so many cells; None means all.
-        **only: ``method=[...]`` and ``body=[...]`` keep those cells alone.
+    Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
+    cells alone; `n_trials` None means as many as the budget and the study have.
 
     Raises:
         SilemError: An unknown study or budget, or more trials than there are fixed seeds.

@@ -42,8 +42,7 @@ _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 def task_options(config: RunConfig) -> dict[str, Any]:
     """Return what a run's task takes from its demonstrations, for `silem.envs.make_vec`.
 
-    A captured man's mean speed, in whole cm/s, is what earns a humanoid the full reward (Figure 3b
-    of the paper); where nobody was captured the task's default stands.
+    A captured man's mean speed, in whole cm/s, earns a humanoid the full reward (Figure 3b).
     """
     if not config.demonstrations or not isinstance(config.learner, MujocoBody):
         return {}
@@ -119,12 +118,10 @@ def _annealed(start: float) -> Callable[[float], float]:
 def settings(
     body: str, method: str = "silem", *, budget: str | Budget = "book", seed: int = 0, **hyper: Any
 ) -> dict[str, Any]:
-    """Return the settings of a cell as the arguments that its algorithm takes.
+    """Return the settings of a cell, by `RunConfig.create`, as the arguments of its algorithm.
 
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
     trains: the paper's best combination where it prints one, this project's choice elsewhere.
-
-    The arguments are those of `RunConfig.create`.
 
     Raises:
         SilemError: As there; or the method learns nothing.
@@ -136,10 +133,7 @@ def settings(
 
 
 def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
-    """Build the untrained model of a run of any method but ``random``.
-
-    The demonstrations are at least as many as the run uses; None for an expert.
-    """
+    """Build the untrained model of a run of any method but ``random``."""
     make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
     if not demonstrations:
         return make("MlpPolicy", env, **arguments(config))
@@ -189,12 +183,7 @@ class Checkpoint:
         }
 
     def save(self, path: Path) -> None:
-        """Write the checkpoint atomically; a crash leaves the one before.
-
-        Raises:
-            SilemError: The file cannot be written, or the training has diverged (the checkpoint
-                before is kept).
-        """
+        """Write the checkpoint; a crash, or SilemError if it diverged, leaves the one before."""
         for name, array in self.model.items():
             if not np.isfinite(array).all():
                 raise SilemError(
@@ -364,9 +353,7 @@ def train(
     progress: bool,
     until: float = math.inf,
 ) -> np.ndarray:
-    """Train a model of `make_model` from a checkpoint's iteration to the end of its budget.
-
-    Checkpoints and the progress file go to `folder`. Returns the curve, (iterations, columns).
+    """Train a model from a checkpoint on, with others to `folder`; return the curve.
 
     Raises:
         KeyboardInterrupt: At a checkpoint from which the next cannot be reached before `until`.
