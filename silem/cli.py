@@ -23,7 +23,7 @@ from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
-from silem.util import files, paths
+from silem.util import paths
 from silem.util.errors import SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
@@ -133,7 +133,6 @@ def parser() -> argparse.ArgumentParser:
         add("--seed", type=trial, help="default: 0")
         add("--study", help="default: the body's family")
         add("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
-        add("--config", type=Path, help="a JSON configuration instead of all these")
 
     def add_runs(add: Callable[..., Any], only: bool = True) -> None:
         add_budget(add, "book")
@@ -151,7 +150,6 @@ def parser() -> argparse.ArgumentParser:
     add = command(_run)
     add_cell(add)
     add("--force", action="store_true", help="start anew, even if finished")
-    add("--wait", action="store_true", help="wait for another process at work on this run")
 
     several = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
     add = command(_work)
@@ -178,8 +176,7 @@ def parser() -> argparse.ArgumentParser:
     add("--print", action="store_true", help="show what would be submitted")
 
     add = command(_status)
-    add("studies", nargs="*", **several)
-    add("--study", nargs=1, help=argparse.SUPPRESS)
+    add("studies", nargs="*", default=["halfcheetah"], **several)
     add_runs(add, only=False)
 
     add = command(_show)
@@ -262,13 +259,8 @@ def budget_of(options: argparse.Namespace) -> Budget:
 
 def config_of(options: argparse.Namespace) -> RunConfig:
     """Return the configuration that the options of ``run`` ask for."""
-    named = ("body", "method", "demonstrations", "budget", "iterations", "seed", "study", "set")
-    if options.config:
-        if given := [f"--{name}" for name in named if getattr(options, name) is not None]:
-            raise SilemError(f"--config says all that {', '.join(given)} would say; give either")
-        return RunConfig.from_dict(files.read_json(options.config))
     if not (options.body and options.method):
-        raise SilemError("--body and --method are needed, or --config")
+        raise SilemError("--body and --method are needed")
     body, method = options.body, choose("method", options.method, METHODS)
     allowed = [*HyperParameters.used_by(method), *bodies.get(body).parameters]
     overrides = {}
@@ -306,7 +298,7 @@ def _finished(run_id: str) -> RunRecord:
 
 def _run(options: argparse.Namespace) -> None:
     """Make one run, or go on with it."""
-    record = runs.run(config_of(options), not options.quiet, options.force, options.wait)
+    record = runs.run(config_of(options), not options.quiet, options.force)
     _print_evaluation(record.run_id, record.evaluation)
     print(record.folder / RECORD)
 
@@ -396,7 +388,7 @@ def _status(options: argparse.Namespace) -> None:
     """What of studies is finished, running, failed, missing, and how long the rest takes."""
     from silem.study import work
 
-    for study in options.studies or options.study or ["halfcheetah"]:
+    for study in options.studies:
         print(work.status(study, budget_of(options), options.trials, options.sample))
 
 

@@ -160,11 +160,7 @@ def stop_with_input() -> None:
 
 
 def run(
-    config: RunConfig,
-    progress: bool = True,
-    force: bool = False,
-    wait: bool = False,
-    until: float = math.inf,
+    config: RunConfig, progress: bool = True, force: bool = False, until: float = math.inf
 ) -> RunRecord:
     """Return the finished run of a configuration: looked up, resumed, or made from the start.
 
@@ -176,7 +172,6 @@ def run(
         progress: Show a progress bar.
         force: Throw the run's checkpoint away and make it anew, even if it is finished. A record
             that is already published stays until the new one replaces it.
-        wait: If another process works on this run, wait for it instead of raising.
         until: The `time.monotonic` after which no checkpoint can be reached any more.
 
     Raises:
@@ -192,7 +187,7 @@ def run(
     if not (force or crashed) and (record := finished(config)):
         return record
     check_counts(config.budget, bodies.get(config.body).family)
-    with stoppable(), files.lock(folder / LOCK, math.inf if wait else 1.0):
+    with stoppable(), files.lock(folder / LOCK):
         for place in written:
             files.remove_leftovers(place)
         if not force and (record := finished(config)):  # by whoever held the lock

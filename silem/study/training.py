@@ -208,56 +208,35 @@ class Checkpoint:
         """Read a checkpoint of a given run.
 
         Raises:
-            SilemError: The file is damaged, another run's, was made with other demonstrations, or
-                says what no checkpoint of this run can say. Nothing is deleted.
+            SilemError: The file is damaged, another run's, or was made with other demonstrations.
+                Nothing is deleted.
         """
         try:
             arrays, metadata = files.read_tensors(path)
-            # the version before wrote neither a checksum nor processor time
-            if _SHA256 in metadata and metadata.pop(_SHA256) != _digest(arrays, metadata):
+            if metadata.pop(_SHA256) != _digest(arrays, metadata):
                 raise SilemError(f"the checksum of {path} differs")
             found = cls(
-                metadata.pop("run_id"),
-                int(metadata.pop("iteration")),
-                float(metadata.pop("wall_time_s")),
-                json.loads(metadata.pop("processor_time_s", "null")),
-                tuple(json.loads(metadata.pop("commits"))),
-                metadata.pop("demonstrations_sha256"),
+                metadata["run_id"],
+                int(metadata["iteration"]),
+                float(metadata["wall_time_s"]),
+                json.loads(metadata["processor_time_s"]),
+                tuple(json.loads(metadata["commits"])),
+                metadata["demonstrations_sha256"],
                 arrays.pop(_CURVE),
                 {name.removeprefix(_MODEL): array for name, array in arrays.items()},
             )
-            wrong = f"holds unknown {', '.join(metadata)}" if metadata else found._wrong(config)
-            if not wrong and found.demonstrations_sha256 != demonstrations_sha256:
-                wrong = "was made with other demonstrations (bring those back)"
-            if wrong:
-                raise SilemError(f"{path} {wrong}")
+            if found.run_id != config.run_id:
+                raise SilemError(f"{path} is a checkpoint of {found.run_id}, not {config.run_id}")
+            if found.demonstrations_sha256 != demonstrations_sha256:
+                raise SilemError(f"{path} was made with other demonstrations (bring those back)")
+            if found.curve.shape != (found.iteration, len(CURVE_COLUMNS)):
+                raise SilemError(f"{path} is of another version: its curve is another")
             return found
         except (KeyError, TypeError, ValueError) as error:  # a SilemError is one
             raise SilemError(
                 f"damaged checkpoint: {reason(error)}; move it away, or run with --force, to start"
                 " this run anew"
             ) from error
-
-    def _wrong(self, config: RunConfig) -> str:
-        """Return what no checkpoint of a run can say, or ""."""
-        last, budget = self.iteration, config.budget
-        if self.run_id != config.run_id:
-            return f"is a checkpoint of {self.run_id}, not {config.run_id}"
-        if not 0 < last <= budget.n_iterations or (
-            last % budget.checkpoint_every and last != budget.n_iterations
-        ):
-            return f"is of iteration {last}, at which none is written"
-        if self.curve.ndim != 2 or self.curve.shape[1] != len(CURVE_COLUMNS):
-            return "is of an older version: its curve is another"
-        iterations = np.arange(1, last + 1)
-        counted = np.stack([iterations, iterations * budget.steps_per_iteration], axis=1)
-        if not np.array_equal(self.curve[:, :2], counted):
-            return f"has no curve of {last} iterations"
-        for seconds in (self.wall_time_s, self.processor_time_s or 0.0):
-            if not isinstance(seconds, float) or not 0 <= seconds < math.inf:
-                return f"has taken {seconds!r} s"
-        named = all(isinstance(commit, str) for commit in self.commits)
-        return "" if named else "names commits that are no text"
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
