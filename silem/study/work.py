@@ -188,10 +188,12 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
     try:
         with runs.stoppable(), bar:
             loops += [_start(command, log) for _ in range(n)]
-            while None in (codes := [loop.poll() for loop in loops]):
-                for i, code in enumerate(codes):
-                    if code is not None and code < 0 and kills < _MOST_KILLS * n:
-                        loops[i], kills = _start(command, log), kills + 1
+            while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
+                for i, loop in enumerate(loops):
+                    if (loop.poll() or 0) < 0:
+                        if (kills := kills + 1) > _MOST_KILLS * n:
+                            raise SilemError(f"workers are killed again and again (log: {log})")
+                        loops[i] = _start(command, log)
                 if progress:
                     _show(bar, configs)
                 time.sleep(_POLL_S / 4)
@@ -203,6 +205,7 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
         for loop in loops:
             loop.wait()
     raise_failures(configs)
+    codes = [loop.returncode for loop in loops]
     if STOPPED in codes:
         raise KeyboardInterrupt(f"time is up; {_GOES_ON}")
     if any(codes):
