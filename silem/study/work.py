@@ -189,11 +189,9 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
         with runs.stoppable(), bar:
             loops += [_start(command, log) for _ in range(n)]
             while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
-                for i, loop in enumerate(loops):
-                    if (loop.poll() or 0) < 0:
-                        if (kills := kills + 1) > _MOST_KILLS * n:
-                            raise SilemError(f"workers are killed again and again (log: {log})")
-                        loops[i] = _start(command, log)
+                kills += _restart(loops, command, log)
+                if kills > _MOST_KILLS * n:
+                    raise SilemError(f"workers are killed again and again (log: {log})")
                 if progress:
                     _show(bar, configs)
                 time.sleep(_POLL_S / 4)
@@ -224,6 +222,14 @@ def _start(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
             command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
             env=os.environ | environment(), start_new_session=True,
         )  # fmt: skip
+
+
+def _restart(loops: list[subprocess.Popen[bytes]], command: Sequence[str], log: Path) -> int:
+    """Start loops anew that were killed; return how many."""
+    killed = [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]
+    for i in killed:
+        loops[i] = _start(command, log)
+    return len(killed)
 
 
 def environment() -> dict[str, str]:
