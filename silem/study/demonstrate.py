@@ -83,12 +83,10 @@ def demonstrate(
     with demos.publishing():
         if path.exists() and not force:
             there = Demonstrations.load(name)
-            if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
-                raise SilemError(
-                    f"{path} holds {len(there.features)} trajectories of"
-                    f" {there.expert_run_id or 'another expert'} already;"
-                    f" {runs.instead_of(path)}"
-                )
+            n, whose = len(there.features), there.expert_run_id or "another expert"
+            if whose != record.run_id or n != n_trajectories:
+                told = f"{path} holds {n} trajectories of {whose} already"
+                raise SilemError(f"{told}; {runs.instead_of(path)}")
             if demos.is_published(name):
                 return path
         else:
@@ -102,18 +100,13 @@ def demonstrate(
 def describe(name: str) -> str:
     """Say in one line what the manifest knows of demonstrations that an expert made."""
     about = demos.entry(name)
-    text = (
-        f"{about['n_trajectories']} trajectories of {about['expert_run_id']}, return"
-        f" {about['return_mean']:.0f} ± {about['return_std']:.0f}"
-    )
+    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f}"
+    text += " ± {return_std:.0f}"
     if "pitch_rad" in about:
-        text += (
-            f", worst {about['return_worst']:.0f}, failed and kept: {about['n_failed']};"
-            f" {about['speed_m_s']:.2f} m/s, pitch {about['pitch_rad']:.2f} ±"
-            f" {about['pitch_std_rad']:.2f} rad, a joint at its limit"
-            f" {100 * about['limit_share']:.0f} % of the time"
-        )
-    return text
+        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s,"
+        text += " pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at its limit {limit_share:.0%}"
+        text += " of the time"
+    return text.format(**about)
 
 
 class Gait(NamedTuple):

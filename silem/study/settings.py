@@ -142,11 +142,12 @@ LARGEST = 10**9
 """More of anything cannot be run through."""
 
 
-def _check_count(name: str, value: Any) -> None:
+def _count(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
         raise SilemError(
             f"{name} must be a positive whole number up to {LARGEST}, not {clipped(repr(value))}"
         )
+    return value
 
 
 def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
@@ -154,19 +155,15 @@ def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     name, default, rule = item.name, item.default, item.metadata
     if "choices" in rule:
         return choose(name, value, rule["choices"])
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise SilemError(f"{name} must be True or False, not {value!r}")
+    if isinstance(default, bool) and isinstance(value, bool):
         return value
-    if isinstance(default, tuple):
-        if not isinstance(value, list | tuple) or not value:
-            raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
-        for size in value:
-            _check_count(f"each size in {name}", size)
-        return tuple(value)
+    if isinstance(default, tuple) and isinstance(value, list | tuple) and value:
+        return tuple(_count(f"each size in {name}", size) for size in value)
+    if isinstance(default, bool | tuple):
+        kind = "a list of layer sizes" if isinstance(default, tuple) else "True or False"
+        raise SilemError(f"{name} must be {kind}, not {value!r}")
     if isinstance(default, int):
-        _check_count(name, value)
-        return value
+        return _count(name, value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SilemError(f"{name} must be a number, not {value!r}")
     enough = "signed" in rule or value > 0 or (value == 0 and "zero" in rule)
@@ -191,7 +188,7 @@ class Budget:
         check_name("budget", self.name)
         for item in dataclasses.fields(self):
             if item.name != "name":
-                _check_count(f"budget {item.name}", getattr(self, item.name))
+                _count(f"budget {item.name}", getattr(self, item.name))
         if self.steps_per_iteration % self.n_envs:
             raise SilemError(
                 f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
@@ -351,14 +348,12 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
     """
     source, family = METHODS[method].source, bodies.get(body).family
     original = _family(family).original
-    if not source:
-        if wanted:
-            raise SilemError(f"method {method!r} uses no demonstrations")
-        return ""
-    if source == "own":
-        if wanted not in (None, body):
-            raise SilemError(f"{method} of {body} imitates {body}, not {wanted}")
-        return body
+    if not source and wanted:
+        raise SilemError(f"method {method!r} uses no demonstrations")
+    if source == "own" and wanted not in (None, body):
+        raise SilemError(f"{method} of {body} imitates {body}, not {wanted}")
+    if source in ("", "own"):
+        return body if source else ""
     if source == "retargeted":
         if wanted is None and original in bodies.names():
             raise SilemError(f"method {method!r} is not for {body}: no clip is retargeted to it")

@@ -185,8 +185,8 @@ def study_of(name: str) -> Study:
     table = paper.best_table(cell.body, cell.method)
     if table is None or not table.grid:
         raise SilemError(f"the supplement has searched no grid for {cell.method} on {cell.body}")
-    used, names = HyperParameters.used_by(cell.method), paper.symbols()
-    grid = {names[s].parameter: v for s, v in paper.grid_values(table.grid).items()}
+    used, printed = HyperParameters.used_by(cell.method), paper.grid_values(table.grid)
+    grid = {paper.symbols()[symbol].parameter: values for symbol, values in printed.items()}
     grid = {name: values for name, values in grid.items() if name in used}
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
     best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -268,8 +268,7 @@ class Segments(BaseCallback):
 
     @property
     def _ppo(self) -> PPO:
-        assert isinstance(self.model, PPO)
-        return self.model
+        return cast(PPO, self.model)
 
     def _iteration(self) -> int:
         return self.model.num_timesteps // self._config.budget.steps_per_iteration
