@@ -168,8 +168,7 @@ class RunConfig:
     def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
         """Rebuild a configuration from `to_dict`, through the same checks.
 
-        Raises:
-            SilemError: As `create`, or the body is another one now.
+        Raises SilemError: As `create`, or the body is another one now.
         """
         keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:

@@ -33,10 +33,8 @@ def demonstrator(body: str, budget: str | Budget, trial: int | None = None) -> R
 
     "Running as fast as possible" (Section V) is a choice among policies; this is the rule for it,
     the same for every body. Returns are those of the finished runs' evaluations. A `trial` is one
-    expert, whichever it is.
-
-    Raises:
-        SilemError: Not all of these trials are finished; the message names the next.
+    expert, whichever it is. Raises SilemError: not all of these trials are finished; the message
+    names the next.
     """
     configs = experts(body, budget, trial)
     found = [runs.find(config.run_id) for config in configs]
@@ -67,9 +65,7 @@ def demonstrate(
 
     Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
     file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
-
-    Raises:
-        SilemError: The run is no expert's, or another's are there already, and no `force`.
+    Raises SilemError: the run is no expert's, or another's are there already, and no `force`.
     """
     from silem.study.evaluate import load_policy, record_episodes
 
@@ -104,7 +100,9 @@ def describe(name: str) -> str:
     text += " ± {return_std:.0f}"
     if "pitch_rad" in about:
         text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s,"
-        text += " pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at its limit {limit_share:.0%}"
+        text += (
+            " pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
+        )
         text += " of the time"
     return text.format(**about)
 

@@ -111,8 +111,7 @@ def forgive(config: RunConfig) -> None:
 def _attempt(folder: Path) -> Iterator[None]:
     """Count how often a run was begun at its checkpoint; only ``kill -9`` leaves the count.
 
-    Raises:
-        SilemError: It was killed `STARTS` times there; next time the count begins anew.
+    Raises SilemError: it was killed `STARTS` times there; next time the count begins anew.
     """
     path, checkpoint = folder / ATTEMPT, folder / CHECKPOINT
     reached = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
@@ -288,8 +287,7 @@ def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> 
 def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str | None]:
     """Return a run's demonstrations and their file's SHA-256, or None twice for no imitator.
 
-    Raises:
-        SilemError: They are missing (the message says how to make them) or not as published.
+    Raises SilemError: they are missing (the message says how to make them) or not as published.
     """
     name = config.demonstrations
     if not name:

@@ -69,8 +69,7 @@ _ROW = "supplement, SILEM's best combination for HC0"
 class HyperParameters:
     """Every hyper-parameter of learning; a method uses some of them (see `names_used_by`).
 
-    Raises:
-        SilemError: A value of another type, or out of range.
+    Raises SilemError: a value of another type, or out of range.
     """
 
     # The learning rate falls linearly to 0.

@@ -173,8 +173,7 @@ def study_of(name: str) -> Study:
     came: that combination first, then the others in an order that was shuffled once, so that the
     first so many are a fair sample, and more of them go on with it.
 
-    Raises:
-        SilemError: There is no such study, no such cell, or the supplement has no grid for it.
+    Raises SilemError: there is no such study, no such cell, or the supplement has no grid for it.
     """
     study, *searched = name.split("/")
     found = STUDIES[choose("study", study, STUDIES)]

@@ -39,9 +39,8 @@ class Options:
     def load(cls, path: Path | None) -> Options:
         """Read options; None gives the defaults.
 
-        Raises:
-            SilemError: The file cannot be read, or a key is unknown or of another type; the
-                message names key and line.
+        Raises SilemError: the file cannot be read, or a key is unknown or of another type; the
+        message names key and line.
         """
         try:
             text = path.read_text() if path else ""
@@ -115,10 +114,8 @@ ENGINES = {
 def submission(engine: str, words: Sequence[str], options: Options) -> str:
     """Return what is handed over: a script for sbatch or Dask, or what condor_submit reads.
 
-    `words` are what follows ``silem`` on a loop's command line.
-
-    Raises:
-        SilemError: Such an engine is not known.
+    `words` are what follows ``silem`` on a loop's command line. Raises SilemError: such an engine
+    is not known.
     """
     text, _ = ENGINES[choose("engine", engine, ENGINES)]
     minutes = max(1, options.minutes - -(-options.margin_s // 60))
@@ -137,8 +134,7 @@ def submission(engine: str, words: Sequence[str], options: Options) -> str:
 def submit(engine: str, words: Sequence[str], options: Options) -> str:
     """Hand loops over and return what the scheduler says; Dask is waited for, which has no queue.
 
-    Raises:
-        SilemError: There is no such scheduler here, or it refuses.
+    Raises SilemError: there is no such scheduler here, or it refuses.
     """
     text = submission(engine, words, options)
     (paths.runs_dir() / "log").mkdir(parents=True, exist_ok=True)

@@ -123,8 +123,7 @@ def settings(
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
     trains: the paper's best combination where it prints one, this project's choice elsewhere.
 
-    Raises:
-        SilemError: As there; or the method learns nothing.
+    Raises SilemError: As there; or the method learns nothing.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
@@ -207,9 +206,8 @@ class Checkpoint:
     def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
         """Read a checkpoint of a given run.
 
-        Raises:
-            SilemError: The file is damaged, another run's, or was made with other demonstrations.
-                Nothing is deleted.
+        Raises SilemError: the file is damaged, another run's, or was made with other
+        demonstrations. Nothing is deleted.
         """
         try:
             arrays, metadata = files.read_tensors(path)
@@ -333,8 +331,7 @@ def train(
 ) -> np.ndarray:
     """Train a model from a checkpoint on, with others to `folder`; return the curve.
 
-    Raises:
-        KeyboardInterrupt: At a checkpoint from which the next cannot be reached before `until`.
+    Raises KeyboardInterrupt: at a checkpoint from which the next cannot be reached before `until`.
     """
     if start.iteration:
         model.load_state_arrays(start.model)

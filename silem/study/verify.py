@@ -58,10 +58,8 @@ def check(folder: Path, *, with_files: bool = True) -> RunRecord:
     Checked are its configuration (through the one strict door), that the run id is the
     configuration's and the folder's name, its counts against the configuration, its means and
     deviations against the single returns, that every number lies where it can, and (`with_files`)
-    every file beside it: its SHA-256, whose it is, and that it can be read.
-
-    Raises:
-        SilemError: Naming the folder and what is wrong.
+    every file beside it: its SHA-256, whose it is, and that it can be read. Raises SilemError:
+    naming the folder and what is wrong.
     """
     record = RunRecord.load(folder)
     try:
@@ -148,9 +146,8 @@ def _faults_of_curve(columns: dict[str, np.ndarray], budget: Budget) -> Iterator
 def check_source(record: RunRecord) -> None:
     """Check what a record rests on: its demonstrations, and for evidence its commits.
 
-    Raises:
-        SilemError: The demonstrations are not those published now, or a commit is none of this
-            repository's (where there is git, and the whole history).
+    Raises SilemError: the demonstrations are not those published now, or a commit is none of this
+    repository's (where there is git, and the whole history).
     """
     config = record.run_config()
     if config.demonstrations:
@@ -236,8 +233,7 @@ def _made_here(record: RunRecord) -> bool:
 def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterator[Verdict]:
     """Verify one run, or a study's published records, or (None) all of them and demonstrations.
 
-    Raises:
-        SilemError: There is nothing of this name.
+    Raises SilemError: there is nothing of this name.
     """
     results = paths.data_dir() / "results"
     if name is not None:

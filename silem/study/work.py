@@ -55,9 +55,8 @@ def experts_of(config: RunConfig) -> list[RunConfig]:
 def check(configs: Sequence[RunConfig]) -> None:
     """Refuse work that cannot be done.
 
-    Raises:
-        SilemError: An imitator's expert is neither finished nor among the runs; a finished run was
-            made with other demonstrations than those there are now; or there are no locks.
+    Raises SilemError: an imitator's expert is neither finished nor among the runs; a finished run
+    was made with other demonstrations than those there are now; or there are no locks.
     """
     planned = {config.run_id for config in configs}
     for config in configs:
@@ -175,10 +174,8 @@ def raise_failures(configs: Sequence[RunConfig]) -> None:
 def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: bool = True) -> None:
     """Let `n` processes work, each by the command line ``silem`` `words`, with one bar for all.
 
-    However this process ends, they end with it. One that is killed is started again.
-
-    Raises:
-        SilemError, KeyboardInterrupt: As `work`.
+    However this process ends, they end with it. One that is killed is started again. Raises
+    SilemError, KeyboardInterrupt: As `work`.
     """
     check(configs)
     command = [sys.executable, "-m", "silem", *words, "--quiet", "--with-input"]
