@@ -253,12 +253,14 @@ def _short(text: str) -> str:
 
 def budget_of(options: argparse.Namespace) -> Budget:
     """Return the budget that the options ask for."""
-    budget = budget_named(options.budget or "tiny")
+    budget = budget_named("tiny" if options.budget is None else options.budget)
     return budget if options.iterations is None else budget.with_iterations(options.iterations)
 
 
 def config_of(options: argparse.Namespace) -> RunConfig:
     """Return the configuration that the options of ``run`` ask for."""
+    if options.demonstrations == "":
+        raise SilemError("--demonstrations needs a name, an expert's body, a clip or an .npz file")
     if not (options.body and options.method):
         raise SilemError("--body and --method are needed")
     body, method = options.body, choose("method", options.method, METHODS)
