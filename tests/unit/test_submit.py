@@ -56,7 +56,7 @@ def wait_for(what: str, happened: object, seconds: float = 240.0) -> None:
         ("jobs = true", "line 1: jobs must be like 4"),
         ("setup = 'module load python'", "line 1: setup must be like"),
         ("lines = ['#SBATCH -p x', 3]", "line 1: lines must be a list of lines"),
-        ("jobs = 3\njobs = 4", r"cannot read .*at line 2"),
+        ("jobs = 3\nx y", r"cannot read .*at line 2"),
     ],
 )
 def test_bad_options_are_told_by_key_and_line(tmp_path: Path, text: str, message: str) -> None:
