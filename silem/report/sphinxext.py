@@ -149,17 +149,17 @@ def budgets() -> Table:
     """Return the budgets: how much each spends."""
     rows = []
     for budget in BUDGETS.values():
-        iterations, walking = budget.n_iterations, of_family(budget, "humanoid").n_iterations
         row = {
             "Budget": f"`{budget.name}`",
             "Environments": as_text(budget.n_envs),
             "Steps per iteration": as_text(budget.steps_per_iteration),
-            "Iterations": as_text(iterations),
+            "Iterations": as_text(budget.n_iterations),
             "Trials": as_text(budget.n_trials),
             "Evaluation episodes": as_text(budget.n_eval_episodes),
         }
-        if walking != iterations:
-            row["Iterations"] += f"; humanoids {as_text(walking)}"
+        for name, family in (("Ants", "ant"), ("humanoids", "humanoid")):
+            if (theirs := of_family(budget, family).n_iterations) != budget.n_iterations:
+                row["Iterations"] += f"; {name} {as_text(theirs)}"
         rows.append(row)
     caption = "What each budget spends on a run."
     return Table("budgets", caption, list(rows[0]), [list(row.values()) for row in rows])
