@@ -211,7 +211,7 @@ class Checkpoint:
         """
         try:
             arrays, metadata = files.read_tensors(path)
-            if metadata.pop(_SHA256) != _digest(arrays, metadata):
+            if metadata.pop(_SHA256, "") != _digest(arrays, metadata):
                 raise SilemError(f"the checksum of {path} differs")
             found = cls(
                 metadata["run_id"],
