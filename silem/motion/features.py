@@ -69,7 +69,8 @@ class Landmarks:
         self.ids = np.array(found)  #: (P,) in the order of `POINTS`
         self.torso = found[0]
         self.root = int(model.body_rootid[self.torso])  #: carries all others
-        self._axes = np.array(["xyz".index(axis) for axis in skeleton.axes])
+        columns = ["xyz".index(axis) for axis in skeleton.axes]
+        self._rows = np.arange(9).reshape(3, 3).T[columns]  # of a torso frame's nine numbers
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
         """Return the landmarks' positions in the world in m, (P, 3)."""
@@ -81,8 +82,7 @@ class Landmarks:
 
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
         """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
-        frames = matrices.reshape(*matrices.shape[:-1], 3, 3)
-        return frames.swapaxes(-1, -2).take(self._axes, -2)
+        return matrices.take(self._rows, -1)
 
 
 def skeletal_features(

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.envs.mujoco import task as walking
+from silem.envs import mujoco as walking
 from silem.motion import demonstrations, retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import CLIPS, published_motion, published_name
