@@ -3,18 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 
-from silem.bodies.body import (
-    AliveRule,
-    BulletBody,
-    Engine,
-    Motor,
-    Part,
-    View,
-    numbers,
-    pybullet_model,
-    set_attribute,
-)
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
 
 FAMILY = "halfcheetah"
 ENGINE: Engine = "bullet"
@@ -22,14 +13,7 @@ ENGINE: Engine = "bullet"
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 
 _POWER = 0.90  # of PyBullet's HalfCheetah task, on top of each joint's coefficient
-_COEFFICIENTS = {
-    "bthigh": 120.0,
-    "bshin": 90.0,
-    "bfoot": 60.0,
-    "fthigh": 140.0,
-    "fshin": 60.0,
-    "ffoot": 30.0,
-}
+_COEFFICIENTS = {"bthigh": 120, "bshin": 90, "bfoot": 60, "fthigh": 140, "fshin": 60, "ffoot": 30}
 _LOWER_LIMBS = ("bshin", "bfoot", "fshin", "ffoot")
 _HEAD_OVERHANG_M = 0.1  # from the torso's front end to the middle of the head
 
@@ -40,16 +24,15 @@ def model(torso_length_m: float) -> str:
     The torso's capsule is stretched; the head and both thighs keep hanging on its ends. Length 1
     is PyBullet's own file, byte for byte.
     """
-    xml = pybullet_model("half_cheetah.xml")
-    if torso_length_m == TORSO_LENGTHS_M["HC0"]:
-        return xml
     half = torso_length_m / 2
-    span = numbers(-half, 0, 0, half, 0, 0)
-    head = numbers(half + _HEAD_OVERHANG_M, 0, 0.1)
-    xml = set_attribute(xml, "geom", "torso", "fromto", span)
-    xml = set_attribute(xml, "geom", "head", "pos", head)
-    xml = set_attribute(xml, "body", "bthigh", "pos", numbers(-half, 0, 0))
-    return set_attribute(xml, "body", "fthigh", "pos", numbers(half, 0, 0))
+    edits = {
+        ("geom", "torso", "fromto"): (-half, 0, 0, half, 0, 0),
+        ("geom", "head", "pos"): (half + _HEAD_OVERHANG_M, 0, 0.1),
+        ("body", "bthigh", "pos"): (-half, 0, 0),
+        ("body", "fthigh", "pos"): (half, 0, 0),
+    }
+    original = torso_length_m == TORSO_LENGTHS_M["HC0"]
+    return pybullet_model("half_cheetah.xml", {} if original else edits)
 
 
 def body(name: str, torso_length_m: float) -> BulletBody:
@@ -76,3 +59,43 @@ def body(name: str, torso_length_m: float) -> BulletBody:
 
 
 BODIES = {name: partial(body, name, length) for name, length in TORSO_LENGTHS_M.items()}
+
+
+def nose_touch_pitch_rad(body: BulletBody) -> tuple[float, float]:
+    """Return the pitches at which a body's nose touches the floor, its back foot standing on it.
+
+    The first is with the back leg as the model draws it, all joints at zero; the second with it put
+    down as far as its joints' limits let it: no state with the back foot on the floor pitches
+    further. They follow from the geometry alone; the nose is the lowest of torso and head.
+    """
+    import mujoco
+    import numpy as np
+    from scipy import optimize
+
+    from silem.bodies.measure import spec
+
+    model = spec(body).compile()
+    data = mujoco.MjData(model)
+
+    def ends(geom: str) -> np.ndarray:
+        """Return the centres of a capsule's round ends, (2, 2): x and z."""
+        along = data.geom(geom).xmat.reshape(3, 3)[:, 2] * model.geom(geom).size[1]
+        return (data.geom(geom).xpos + np.stack([along, -along]))[:, [0, 2]]
+
+    mujoco.mj_kinematics(model, data)
+    nose, legs = np.concatenate([ends("torso"), ends("head")]), [ends("bfoot")]
+    joints = [model.joint(name) for name in ("bthigh", "bshin", "bfoot")]
+    ranges = [np.linspace(low, high, 15) for low, high in (joint.range for joint in joints)]
+    for angles in product(*ranges):
+        data.qpos[[joint.qposadr[0] for joint in joints]] = angles
+        mujoco.mj_kinematics(model, data)
+        legs.append(ends("bfoot"))
+
+    def touch(feet: np.ndarray) -> float:
+        def clearance(pitch: float) -> float:  # all capsules are equally thick
+            up = np.array([-np.sin(pitch), np.cos(pitch)])
+            return float((nose @ up).min() - (feet @ up).min())
+
+        return float(optimize.brentq(clearance, 0.0, np.pi / 2))
+
+    return touch(legs[0]), touch(np.concatenate(legs))

@@ -29,7 +29,7 @@ import nbformat
 from tqdm import tqdm
 
 from silem.report import glance, results, style
-from silem.report.figures.trials import normalised_scores
+from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
 from silem.util.paths import REPO, data_dir
@@ -72,10 +72,8 @@ def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
 def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
     """Execute notebooks side by side, each in a process of its own, with a progress bar.
 
-    The folder receives the executed copies, failed ones too; what it held before is removed.
-
-    Raises:
-        SilemError: If a notebook failed, once all have run; the message holds each failure.
+    The folder receives the executed copies, failed ones too; what it held before is removed. Once
+    all have run, a SilemError holds each failure.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -127,11 +125,7 @@ def stage(executed: Path, target: Path) -> None:
 
 
 def build_html(source: Path, output: Path) -> None:
-    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``.
-
-    Raises:
-        SilemError: If jupyter-book reports an error or a warning.
-    """
+    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``."""
     for stale in ("html", ".doctrees", "jupyter_execute"):
         shutil.rmtree(output / "_build" / stale, ignore_errors=True)
     program = Path(sys.executable).with_name("jupyter-book")
@@ -169,16 +163,10 @@ def build(
     root: Path = REPO,
     parameters: Parameters = BOOK_PARAMETERS,
 ) -> Path:
-    """Build the whole book in ``_build`` under `root`.
+    """Build the whole book in ``_build`` under `root`, and return the folder of its pages.
 
-    Args:
-        n_workers: How many notebooks run at a time.
-        reuse_executed: Take the notebooks executed last time, where there are any.
-        root: The folder to build under; that of the pages is returned.
-        parameters: By the notebook's name, those that differ from its defaults.
-
-    Raises:
-        SilemError: If a notebook or a page fails, or another build is under way.
+    `n_workers` notebooks run at a time, or where there are any those executed last time are taken.
+    SilemError if a notebook or a page fails, or another build is under way.
     """
     folder = root / "_build"
     executed, source = folder / "executed", folder / "source"

@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body, own
+from silem.bodies import Body
 from silem.study import settings
 from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named, of_family
 from silem.util.errors import SilemError, check_name, choose, reason
@@ -135,7 +135,7 @@ class RunConfig:
         """The command line that makes this run, or goes on with it."""
         budget, _, iterations = self.budget.name.partition("-")
         options = {
-            "import": own.module_of(self.body), "body": self.body, "method": self.method,
+            "import": bodies.module_of(self.body), "body": self.body, "method": self.method,
             "demonstrations": self.demonstrations, "budget": budget, "iterations": iterations,
             "seed": str(self.seed),
             "study": self.study if self.study != bodies.get(self.body).family else "",
@@ -153,7 +153,7 @@ class RunConfig:
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
         }
-        body = own.identity(self.body)
+        body = bodies.identity(self.body)
         return {
             "study": self.study,
             "body": self.body,
@@ -175,7 +175,7 @@ class RunConfig:
             for key in content:
                 choose("configuration key", key, [*keys, "own_body"])
             body, then = content["body"], content.get("own_body")
-            if own.identity(str(body)) != then:
+            if bodies.identity(str(body)) != then:
                 module = then["module"] if then else ""
                 advice = f"; --import {module} loads that" if module else ""
                 raise SilemError(f"{body} is not the body that this run is of{advice}")

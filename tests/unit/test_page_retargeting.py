@@ -28,7 +28,7 @@ from silem.motion.retargeting import (
 )
 from silem.report import film, style
 from silem.report.pages import retargeting as page
-from silem.report.stick_figure import SIDE_COLORS
+from silem.report.pages.demonstration import SIDE_COLORS
 from silem.util.errors import SilemError
 
 every_body = pytest.mark.parametrize("index", range(len(BODIES)), ids=BODIES)
@@ -170,7 +170,7 @@ def test_only_joints_of_the_arm_count_as_its_limits(human: Motion, results: list
         assert table.set_index("hand").loc["right", "at limit (%)"] == share, name
 
 
-def test_foot_skate_table_agrees_with_the_published_summary(
+def test_foot_skate_table_agrees_with_what_is_published(
     human: Motion, results: list[IKResult]
 ) -> None:
     table = page.foot_skates(human, results)
