@@ -192,7 +192,9 @@ def lines(draw: st.DrawFn) -> list[str]:
     )
     words = st.sampled_from(SOME) | st.text(max_size=8)
     drawn = draw(st.lists(st.one_of(options, words, words, options), max_size=8))
-    sound = draw(st.sampled_from([[], ["ant"], ["--body", "HC0", "--method", "silem"]]))
+    cell = ["--body", "HC0", "--method", "silem"]
+    changed = [*cell, "--set", f"gamma={draw(words)}"]
+    sound = draw(st.sampled_from([[], ["ant"], cell, changed]))
     return [name, *sound, *drawn]
 
 

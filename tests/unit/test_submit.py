@@ -89,7 +89,7 @@ def test_what_slurm_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_what_htcondor_is_given() -> None:
-    options = Options(jobs=7, setup=('export A="it\'s"',), lines=("+Long = true",))
+    options = Options(jobs=7, setup=('export A="it\'s $HOME"',), lines=("+Long = true",))
     text = submission("htcondor", ["work", *STUDY], options)
     given = dict(line.split(" = ", 1) for line in text.splitlines() if " = " in line)
     assert text.splitlines()[-1] == "queue 7"
@@ -101,6 +101,7 @@ def test_what_htcondor_is_given() -> None:
     assert given["+Long"] == "true"
     # HTCondor's quoting: one pair of double quotes around all, single ones group, both are doubled
     whole = given["arguments"]
+    assert "it''s $(DOLLAR)HOME" in whole  # not a macro of HTCondor's
     assert whole[:5] + whole[-2:] == "\"-c ''\""
     command = whole[5:-2].replace("''", "'").replace('""', '"').replace("$(DOLLAR)", "$")
     *setup, loop = command.split("; ")
