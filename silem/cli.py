@@ -20,9 +20,9 @@ import silem
 from silem import bodies
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
-from silem.study.record import RECORD, RunRecord
+from silem.study.record import POLICY, RECORD, RunRecord
 from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
-from silem.util import paths
+from silem.util import files, paths
 from silem.util.errors import SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
@@ -200,6 +200,10 @@ def parser() -> argparse.ArgumentParser:
     longest = f"up to {LONGEST_FILM_S:.0f}; {usual}"
     add("--seconds", type=_seconds, default=6.0, help=longest)
     add("--seed", type=trial, default=0)
+
+    add = command(_export)
+    add("run_id", metavar="RUN_ID")
+    add("--out", type=Path, required=True, help="the file to write (.safetensors)")
 
     add = command(_verify)
     add("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
@@ -441,6 +445,15 @@ def _render(options: argparse.Namespace) -> None:
     learner, policy = record.run_config().learner, load_policy(record)
     clip = film.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
     film.write(options.out, clip)
+    print(options.out)
+
+
+def _export(options: argparse.Namespace) -> None:
+    """Write a finished run's policy as numbers alone, for `silem.load_policy`."""
+    policy = _finished(options.run_id).file(POLICY)
+    if options.out.suffix != policy.suffix:
+        raise SilemError(f"a policy is exported as {policy.suffix}, not {_short(str(options.out))}")
+    files.write_bytes(options.out, policy.read_bytes())
     print(options.out)
 
 

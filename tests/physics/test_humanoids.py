@@ -281,7 +281,7 @@ def test_bad_input_is_refused():
     with pytest.raises(SilemError, match="n_threads must be a whole number from 1, not 0"):
         make_vec("Humanoid", n_threads=0)
     for make in (make_vec, SingleEnv):
-        with pytest.raises(SilemError, match="speed_m_s must be a number above 0, not 0"):
+        with pytest.raises(SilemError, match="speed_m_s must be a finite number above 0, not 0"):
             make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
         body_of("HC0")

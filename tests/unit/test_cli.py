@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import silem
@@ -18,6 +19,7 @@ from silem.cli import main, parser
 from silem.report import film
 from silem.study import runs
 from silem.study.config import RunConfig
+from silem.study.evaluate import load_policy
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
 from silem.util.errors import SilemError
@@ -130,6 +132,29 @@ def test_an_environment_that_says_no_speed_is_run_and_printed(
     assert "over 2 episodes\n" in capsys.readouterr().out
 
 
+def test_a_published_policy_is_exported_and_acts_alike(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main("run --quiet --body HC0 --method ppo --budget tiny".split()) == 0
+    config, out = RunConfig.create("HC0", "ppo"), tmp_path / "policy.safetensors"
+    assert main(["export", config.run_id, "--out", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(out)
+    record = runs.find(config.run_id)
+    assert record is not None
+    observations = np.random.default_rng(0).standard_normal((5, 26)).astype(np.float32)
+    exported, own = (
+        policy.predict(observations, deterministic=True)[0]
+        for policy in (silem.load_policy(out), load_policy(record))
+    )
+    np.testing.assert_array_equal(exported, own)
+    assert main(["export", config.run_id, "--out", str(tmp_path / "policy.zip")]) == 2
+    assert "exported as .safetensors" in capsys.readouterr().err
+    assert main("run --quiet --body HC0 --method random --budget tiny".split()) == 0
+    random = RunConfig.create("HC0", "random").run_id
+    assert main(["export", random, "--out", str(tmp_path / "no.safetensors")]) == 2
+    assert not (tmp_path / "no.safetensors").exists()
+
+
 def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bodies"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -203,6 +228,7 @@ import sys
 from silem import bodies, cli
 from silem.study import work
 from silem.study.config import RunConfig
+from silem.study.evaluate import load_policy
 
 assert cli.main({words.split()!r}) == 0
 config = RunConfig.create("HC1p5", "random", seed=1, study="mine")
