@@ -28,7 +28,7 @@ from typing import Any
 import nbformat
 from tqdm import tqdm
 
-from silem.report import glance, results, style
+from silem.report import glance, results, style, web
 from silem.report.figures.trials import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
@@ -188,6 +188,7 @@ def build(
         if not (reuse_executed and any(executed.glob("*.ipynb"))):
             execute(notebooks(), executed, n_workers, parameters)
         stage(executed, source)
+        web.write(source / "book" / "_static" / "web")
         build_html(source, root)
         if not reuse_executed:
             write_json(folder / _STATE, {"digest": digest})
