@@ -28,10 +28,14 @@ from PIL import Image
 from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
-from silem.report import results
+from silem.report import results, style
+from silem.report.features import feature_names
 from silem.report.film import encode_png
 from silem.study.evaluate import load_policy
-from silem.util import files
+from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.settings import METHODS
+from silem.study.studies import STUDIES
+from silem.util import files, paths
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -112,11 +116,59 @@ def physics(cache: Path) -> dict[str, bytes] | None:
 _MEMBERS = ("mujoco.js", "mujoco.wasm")
 
 
+def records() -> list[RunRecord]:
+    """Return every published record, in the order of the studies, bodies and methods."""
+    folders = (paths.data_dir() / "results").glob(f"*/*/{RECORD}")
+    found = [RunRecord.load(path) for path in sorted(folders)]
+    order = list(STUDIES), bodies.names(), list(METHODS)
+
+    def rank(record: RunRecord) -> tuple[Any, ...]:
+        keys = [record.config[name] for name in ("study", "body", "method")]
+        ranks = [o.index(k) if k in o else len(o) for o, k in zip(order, keys, strict=True)]
+        return *ranks, -record.training["n_steps"], record.config["seed"]
+
+    return sorted(found, key=rank)
+
+
+def learning_pack() -> bytes:
+    """Return the curves of all published runs that learned, and the T that each ended with."""
+    runs = []
+    for record in records():
+        config = record.config
+        if CURVE not in record.files:
+            continue
+        curve = files.read_csv(record.file(CURVE))
+        run = {name: config[name] for name in ("study", "body", "method", "seed")}
+        run |= {
+            "id": record.run_id,
+            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
+            f" {config['budget']['n_iterations']:,} iterations",
+            "colour": style.method(config["method"]).color,
+            "curve": {name: _plain(column) for name, column in curve.items()},
+        }
+        if TRANSFORM in record.files:
+            arrays = files.read_npz(record.file(TRANSFORM))
+            if arrays.keys() == {"A", "b"}:
+                run |= {name: _plain(array) for name, array in arrays.items()}
+        runs.append(run)
+    used = dict.fromkeys(run["body"] for run in runs if "A" in run)
+    data = {
+        "runs": runs,
+        "features": {body: feature_names(body) for body in used},
+        "studies": {name: STUDIES[name].about for name in STUDIES},
+    }
+    return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+
+
 def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
     """Write every pack into a folder, and what the pages must know of them into ``packs.js``."""
     about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
-    packs |= physics(cache) or {}
+    packs |= {"learning": learning_pack()} | (physics(cache) or {})
     for name, data in packs.items():
         text = pack(name, data)
         about["sizes"][name] = len(text)
