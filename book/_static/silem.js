@@ -41,3 +41,56 @@ silem.make = (tag, attributes = {}, ...children) => {
 /** Run when the page is read. */
 silem.ready = (run) =>
   document.readyState === "loading" ? addEventListener("DOMContentLoaded", run) : run();
+
+// ------------------------------------------------------------ under figures
+
+/** Give every tracing line its buttons, and every figure with the paper's numbers its switch. */
+silem.ready(async () => {
+  const { make } = silem;
+  for (const line of document.querySelectorAll(".silem-links")) {
+    // the figures since the line before: they stand in the cells above this one
+    const pictures = [];
+    let cell = line.closest(".cell");
+    while ((cell = cell?.previousElementSibling) && !cell.querySelector(".silem-trace") && !/^H\d$/.test(cell.tagName))
+      pictures.unshift(...cell.querySelectorAll("img[src$='.svg']"));
+    const link = (picture, i) => make("a", { href: picture.src, download: `${line.dataset.name}.svg`, target: "_blank" },
+      pictures.length > 1 ? `figure ${i + 1} (SVG)` : "figure (SVG)");
+    for (const [i, picture] of pictures.entries()) line.firstElementChild.after(" ", link(picture, pictures.length - 1 - i));
+    const commands = [...line.parentElement.querySelectorAll("details:first-of-type li code:last-child")];
+    const copy = line.querySelector(".silem-copy");
+    copy.addEventListener("click", async () => {
+      const text = commands.map((code) => code.textContent).join("\n");
+      try {
+        await navigator.clipboard.writeText(text);
+      } catch { // a page from the disk has no clipboard in some browsers
+        const field = make("textarea", {}, text);
+        document.body.append(field);
+        field.select();
+        document.execCommand("copy");
+        field.remove();
+      }
+      copy.textContent = `copied ${commands.length}`;
+      setTimeout(() => (copy.textContent = "copy the commands"), 2000);
+    });
+  }
+
+  const figures = [...document.querySelectorAll("img[src*='_images/'][src$='.svg']")];
+  if (!figures.length) return;
+  await silem.script("figures.js").catch(() => (silem.withPaper = []));
+  const name = (picture) => picture.src.split("/").at(-1).split("#")[0];
+  const ghosts = figures.filter((picture) => silem.withPaper.includes(name(picture)));
+  const switches = [];
+  const show = (visible) => {
+    for (const picture of ghosts) picture.src = picture.src.split("#")[0] + (visible ? "" : "#without-paper");
+    for (const box of switches) box.checked = visible;
+    try { localStorage.setItem("silem-paper", visible ? "" : "hidden"); } catch { /* nothing is kept */ }
+  };
+  for (const picture of ghosts) {
+    const box = make("input", { type: "checkbox", checked: true, onchange: () => show(box.checked) });
+    switches.push(box);
+    (picture.closest("figure, .cell_output") ?? picture).append(make("label", { class: "silem-check silem-paper" }, box, "show the paper's numbers"));
+  }
+  let kept = "";
+  try { kept = localStorage.getItem("silem-paper"); } catch { /* nothing was kept */ }
+  if (kept === "hidden") show(false);
+});

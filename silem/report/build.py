@@ -190,6 +190,7 @@ def build(
         stage(executed, source)
         web.write(source / "book" / "_static" / "web")
         build_html(source, root)
+        web.finish(folder / "html")
         if not reuse_executed:
             write_json(folder / _STATE, {"digest": digest})
     return folder / "html"

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from IPython.display import HTML
 
-from silem.report import results
+from silem.report import results, web
 from silem.study.settings import BUDGETS
 
 
@@ -34,7 +34,8 @@ def trace(frame: pd.DataFrame) -> HTML:
         for summary, shown in folded.items()
         if shown
     )
-    page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>{lists}</div>'
+    line = f'<p class="silem-trace-line">{escape(line)}</p>{web.links(frame) if len(frame) else ""}'
+    page = f'<div class="silem-trace">{line}{lists}</div>'
     return HTML(page)  # type: ignore[no-untyped-call]
 
 

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from PIL import Image
 
 from silem import bodies
@@ -164,6 +165,48 @@ def _plain(values: np.ndarray) -> list[float | None]:
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
 
 
+# ---------------------------------------------------------------- under a figure
+
+
+def links(frame: pd.DataFrame) -> str:
+    """Return the line of links under a figure, and what its runs cost.
+
+    The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
+    """
+    name = frame.attrs.get("figure", f"{frame.attrs['study']}_runs")
+    data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
+    counted = frame["processor_time_s"].dropna()
+    hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"
+    if len(counted):
+        of = f" in the {len(counted)} runs that counted them" if len(counted) < len(frame) else ""
+        hours += f", {counted.sum() / 3600:.1f} processor hours{of}"
+    return (
+        f'<p class="silem-links" data-name="{name}">'
+        f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
+        ' <button type="button" class="silem-copy">copy the commands</button>'
+        f" <span>{hours}</span></p>"
+    )
+
+
+def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what a figure is drawn from: its runs, their curves, or the T that they learned."""
+    figure = frame.attrs.get("figure")
+    if figure == "learning_curves":
+        parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
+        return pd.concat(parts, ignore_index=True)
+    if figure in ("transforms", "affine_transforms"):
+        parts = []
+        for run, body in zip(frame["run_id"], frame["body"], strict=True):
+            learned = results.load_transform(run)
+            named = {"run_id": run, "feature": feature_names(body)}
+            parts.append(pd.DataFrame(named | {name: learned[name] for name in ("A", "b")}))
+        return pd.concat(parts, ignore_index=True)
+    return frame.drop(columns=["returns", "folder"])
+
+
+# ---------------------------------------------------------------- all of them
+
+
 def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
     """Write every pack into a folder, and what the pages must know of them into ``packs.js``."""
     about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
@@ -180,6 +223,15 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
     with Image.open(REPO / "book" / "_static" / "walking.webp") as film:
         files.write_bytes(folder / "walking.png", encode_png(np.asarray(film.convert("RGB"))))
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")
+
+
+def finish(html: Path) -> None:
+    """Tell the built pages which of their figures show the paper's numbers."""
+    mark = f'<svg id="{style.WITHOUT_GHOSTS}"'
+    pictures = sorted((html / "_images").glob("*.svg"))
+    names = [path.name for path in pictures if path.read_text()[:200].startswith(mark)]
+    text = f"silem.withPaper = {json.dumps(names)};\n"
+    files.write_text(html / "_static" / "web" / "figures.js", text)
 
 
 def _version() -> str:

@@ -43,7 +43,9 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
             f"{figure} shows {', '.join(names)}; the runs of study {study!r} are of"
             f" {', '.join(sorted(known))}"
         )
-    return results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
+    shown = results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
+    shown.attrs["figure"] = figure
+    return shown
 
 
 def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = True) -> None:

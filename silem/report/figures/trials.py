@@ -102,11 +102,11 @@ def affine_or_mlp(frame: pd.DataFrame) -> Figure:
             points: dict[str, Any] = {"ls": "none", "marker": look.marker, "color": look.color}
             axes.plot(rows["disc_reward"], rows["return_mean"], ms=6, mec="white", **points)
             at = [printed["discriminator_reward"]], [printed["ground_truth_reward"]]
-            axes.plot(*at, ms=12, mfc="none", mew=1.8, zorder=3, **points)
+            axes.plot(*at, ms=12, mfc="none", mew=1.8, zorder=3, gid=style.GHOST, **points)
             label = f"{name}, {style.trials(len(rows))}"
             handles.append(style.handle(label=label, ms=7, mec="white", **points))
         paper_mark: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": style.MUTED, "mew": 1.8}
-        paper_mark |= {"ls": "none", "ms": 9}
+        paper_mark |= {"ls": "none", "ms": 9, "gid": style.GHOST}
         handles.append(style.handle(style.MUTED, "the paper's means", **paper_mark))
         for method in ("ppo", "random"):
             _level(axes, frame, method)
