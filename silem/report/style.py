@@ -181,7 +181,7 @@ def svg(figure: Figure) -> str:
 def _name_ghosts(figure: Figure) -> None:
     """Name what is drawn of the paper's own numbers, and what stands for it in a legend."""
     for line in figure.findobj(Line2D):
-        if line.get_color() == PAPER:  # type: ignore[attr-defined]
+        if line.get_color() == PAPER:
             line.set_gid(GHOST)
     for legend in figure.legends:
         for mark, label in zip(legend.legend_handles, legend.get_texts(), strict=True):

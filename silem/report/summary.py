@@ -35,6 +35,8 @@ from silem.util.errors import choose
 JUDGED = ("halfcheetah", "humanoids")
 """The studies that the paper's claims are about."""
 
+_COLUMNS = ("run_id", "study", "family", "cell", "method", "steps", "hours", "processor_hours",
+            "speed", "processor", "date")  # fmt: skip
 _HOURS = ("Hours by the clock", "Hours of a processor (runs that counted)")
 
 
@@ -44,20 +46,20 @@ _HOURS = ("Hours by the clock", "Hours of a processor (runs that counted)")
 @cache
 def costs() -> pd.DataFrame:
     """Return what each published run took; steps in millions, times in hours."""
-    dates, rows = _published(), []
+    dates = _published()
+    rows: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
     for record in records():
         config, machine = record.run_config(), record.provenance.get("machine", {})
         counted = record.processor_time_s
-        rows.append(
-            _plan(config)
-            | {
-                "hours": record.wall_time_s / 3600,
-                "processor_hours": np.nan if counted is None else counted / 3600,
-                "speed": record.training["steps_per_s"],
-                "processor": machine.get("processor", "not recorded"),
-                "date": dates.get(record.run_id, ""),
-            }
-        )
+        taken = _plan(config) | {
+            "hours": record.wall_time_s / 3600,
+            "processor_hours": np.nan if counted is None else counted / 3600,
+            "speed": record.training["steps_per_s"],
+            "processor": machine.get("processor", "not recorded"),
+            "date": dates.get(record.run_id, ""),
+        }
+        for name, values in rows.items():
+            values.append(taken[name])
     return pd.DataFrame(rows)
 
 
@@ -85,6 +87,8 @@ def planned() -> pd.DataFrame:
 def hours_left(frame: pd.DataFrame) -> float:
     """Estimate the hours that planned runs still take, from what a step of the like has taken."""
     trained = costs()[costs()["steps"] > 0]
+    if trained.empty:
+        return np.nan
     known = trained.groupby(["family", "method"])[["hours", "steps"]].sum()
     per_step = (known["hours"] / known["steps"]).to_dict()
     left = frame[frame["hours"].isna()]

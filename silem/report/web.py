@@ -227,9 +227,9 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
 
 def finish(html: Path) -> None:
     """Tell the built pages which of their figures show the paper's numbers."""
-    mark = f'<svg id="{style.WITHOUT_GHOSTS}"'
     pictures = sorted((html / "_images").glob("*.svg"))
-    names = [path.name for path in pictures if path.read_text()[:200].startswith(mark)]
+    mark = f'id="{style.WITHOUT_GHOSTS}"'
+    names = [path.name for path in pictures if mark in path.read_text()[:400]]
     text = f"silem.withPaper = {json.dumps(names)};\n"
     files.write_text(html / "_static" / "web" / "figures.js", text)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from playwright.sync_api import Browser, Page
 from silem.envs import make_vec
 from silem.report import results, web
 from silem.study.evaluate import load_policy
-from silem.util.paths import REPO
 
 pytestmark = pytest.mark.xdist_group("book")
 
@@ -39,20 +37,11 @@ HAND = """() => {
 LOADED = "() => document.getElementById('silem-push').dataset.state === 'ready'"
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One page, the scripts and the packs."""
-    folder = tmp_path_factory.mktemp("site")
-    shutil.copytree(REPO / "book" / "_static", folder / "_static")
-    web.write(folder / "_static" / "web")
-    (folder / "page.html").write_text(PAGE)
-    return folder
-
-
 @pytest.fixture
 def page(site: Path, browser: Browser) -> Iterator[Page]:
     context = browser.new_context(offline=True)
     page = context.new_page()
+    (site / "page.html").write_text(PAGE)
     page.goto((site / "page.html").as_uri())
     yield page
     context.close()
@@ -141,6 +130,7 @@ def test_keys_push_and_arms_stretch(site: Path, page: Page) -> None:
 
 @pytest.mark.parametrize("lacks", ["WebAssembly", "packs"])
 def test_without_the_body_a_film_stands_there(site: Path, browser: Browser, lacks: str) -> None:
+    (site / "page.html").write_text(PAGE)
     page = browser.new_page()
     if lacks == "WebAssembly":
         page.add_init_script("delete window.WebAssembly")
