@@ -1,0 +1,137 @@
+"""Can TPIL's gradient reversal work at all? A toy where two bodies differ by a known shift.
+
+``python -m benchmarks.reversal`` writes ``data/search/reversal.json``. A "gait" is a point that
+goes round a circle; the expert turns fast, and of the learner's episodes half turn as fast and half
+do not (a policy of the expert's quality, and a worse one). The learner's body adds a constant to
+two of six features, which single states betray at once. No policy learns here: discriminators do,
+and what counts is whether their reward tells the learner's good windows from its bad ones.
+
+Two readings of "worse": "slower" turns at a third of the speed, which no single state shows, as
+TPIL supposes; "smaller" also goes round a circle of 0.6 of the size, which every state shows.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import torch as th
+from scipy import stats
+from torch import nn
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from silem.algorithms.networks import (
+    AffineTransform,
+    Discriminator,
+    ThirdPersonDiscriminator,
+    discriminator_loss,
+)
+from silem.algorithms.windows import episode_windows
+from silem.util import files, paths
+
+COEFFICIENTS = (0.0, 0.3, 1.0, 1.6, 4.0)  # none, three of the supplement's grid, and more
+DEPTHS = (1, 2)  # layers of the shared encoder; the paper's text gives none, ours has one
+SEEDS = (0, 1)
+WINDOW, HIDDEN, STEPS, BATCH, RATE = 4, (128, 128), 2000, 128, 1e-3
+SPEED, AMPLITUDE = 0.6, {"slower": 1.0, "smaller": 0.6}
+SHIFT = np.array([0.0, 0.0, 0.0, 0.0, 1.0, -1.0])  # in deviations of the features' noise and swing
+
+
+def gait(rng: np.random.Generator, speed: float, amplitude: float, n_steps: int) -> np.ndarray:
+    """Return one episode's features (T, 6): a circle, its double, and two of noise."""
+    phase = rng.uniform(0, 2 * np.pi) + speed * np.arange(n_steps)
+    turning = [np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)]
+    still = 0.5 * rng.standard_normal((n_steps, 2))
+    noise = 0.1 * rng.standard_normal((n_steps, 4))
+    return np.hstack([amplitude * np.stack(turning, axis=1) + noise, still]).astype(np.float32)
+
+
+def windows(rng: np.random.Generator, worse: str) -> dict[str, th.Tensor]:
+    """Return windows (N, W, 6) of the expert and of the learner's good and bad episodes."""
+
+    def cut(speed: float, amplitude: float, shift: np.ndarray | float) -> th.Tensor:
+        episodes = [gait(rng, speed, amplitude, 200) + shift for _ in range(40)]
+        return th.from_numpy(
+            np.concatenate([episode_windows(e.astype(np.float32), WINDOW) for e in episodes])
+        )
+
+    return {
+        "expert": cut(SPEED, 1.0, 0.0),
+        "good": cut(SPEED, 1.0, SHIFT),
+        "bad": cut(SPEED / 3, AMPLITUDE[worse], SHIFT),
+    }
+
+
+def trained(seed: int, worse: str, method: str, coef: float, depth: int) -> dict[str, Any]:
+    """Train one discriminator and return what it tells apart on windows it has not seen."""
+    th.manual_seed(seed)  # of the layers; the data have their own generator
+    rng = np.random.default_rng(seed)
+    shown, unseen = windows(rng, worse), windows(rng, worse)
+    learner = th.cat([shown["good"], shown["bad"]])
+    n_features = learner.shape[-1]
+    f: nn.Module = AffineTransform(n_features) if method == "silem" else nn.Identity()
+    if method == "tpil":
+        d: Any = ThirdPersonDiscriminator(n_features, WINDOW, HIDDEN, coef)
+        for _ in range(depth - 1):
+            d.encoder.extend([nn.Linear(HIDDEN[0], HIDDEN[0]), nn.Tanh()])
+    else:
+        d = Discriminator(n_features, WINDOW, HIDDEN)
+    disc = th.optim.Adam(d.parameters(), RATE)
+    transform = th.optim.Adam(f.parameters(), RATE) if method == "silem" else None
+    for _ in range(STEPS):
+        e = shown["expert"][th.from_numpy(rng.integers(len(shown["expert"]), size=BATCH))]
+        o = learner[th.from_numpy(rng.integers(len(learner), size=BATCH))]
+        with th.no_grad():
+            tau = f(o)
+        loss, _ = discriminator_loss(d, e, tau, entropy_coef=1e-3, gradient_penalty=0.0)
+        if method == "tpil":
+            expert_logits, learner_logits = d.domain_logits(e[:, -1]), d.domain_logits(o[:, -1])
+            loss = loss + F.softplus(-expert_logits).mean() + F.softplus(learner_logits).mean()
+        disc.zero_grad()
+        loss.backward()
+        disc.step()
+        if transform is not None:
+            fooled = F.softplus(-d(f(o))).mean()
+            transform.zero_grad()
+            fooled.backward()
+            transform.step()
+    with th.no_grad():
+        good, bad = (th.sigmoid(d(f(unseen[name]))).numpy() for name in ("good", "bad"))
+        domain = None
+        if method == "tpil":
+            states = {name: unseen[name][:, -1] for name in unseen}
+            seen_right = [
+                (d.domain_logits(states["expert"]) > 0).float().mean(),
+                (d.domain_logits(th.cat([states["good"], states["bad"]])) < 0).float().mean(),
+            ]
+            domain = float(np.mean(seen_right))
+    ranking = stats.mannwhitneyu(good, bad).statistic / (len(good) * len(bad))
+    return {
+        "worse": worse, "method": method, "coef": coef, "depth": depth, "seed": seed,
+        "domain_accuracy": domain, "ranking": float(ranking),
+        "reward_good": float(good.mean()), "reward_bad": float(bad.mean()),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Train every discriminator and write what each one tells apart."""
+    th.set_num_threads(1)
+    tpil = [("tpil", coef, depth) for coef, depth in itertools.product(COEFFICIENTS, DEPTHS)]
+    methods = [("silem-minus", 0.0, 0), ("silem", 0.0, 0), *tpil]
+    cases = list(itertools.product(SEEDS, AMPLITUDE, methods))
+    rows = [trained(seed, worse, *how) for seed, worse, how in tqdm(cases, unit="discriminator")]
+    files.write_json(paths.REPO / "data" / "search" / "reversal.json", rows)
+    for name in dict.fromkeys((r["worse"], r["method"], r["depth"], r["coef"]) for r in rows):
+        mine = [r for r in rows if (r["worse"], r["method"], r["depth"], r["coef"]) == name]
+        means = {
+            k: np.mean([r[k] for r in mine])
+            for k in ("domain_accuracy", "ranking", "reward_good", "reward_bad")
+            if mine[0][k] is not None
+        }
+        print(*name, *(f"{k} {v:.3f}" for k, v in means.items()))
+
+
+if __name__ == "__main__":
+    main()
