@@ -63,7 +63,7 @@ silem.ready(() => {
 
   async function run(mujoco) {
     const canvas = make("canvas", {
-      tabindex: 0, role: "img", "aria-describedby": "silem-push-keys",
+      tabindex: 0, role: "application", "aria-describedby": "silem-push-keys",
       "aria-label": "A humanoid of capsules under its learned policy, seen from the side. Drag to push it, or use the buttons below.",
     });
     const meter = make("output", { class: "silem-meter" });
@@ -226,7 +226,7 @@ silem.ready(() => {
         for (; owed >= step; owed -= step) {
           const stood = !sim.fallen;
           sim.step(act);
-          if (stood && sim.fallen) { place.dataset.fell = sim.seconds.toFixed(2); sim.end = sim.steps + 2 / step; tell(`It fell after ${sim.seconds.toFixed(1)} s. Reset puts it back on its feet.`); }
+          if (stood && sim.fallen) { sim.end = sim.steps + 2 / step; tell(`It fell after ${sim.seconds.toFixed(1)} s. Reset puts it back on its feet.`); }
         }
         if (sim.fallen && sim.steps > sim.end) pause(); // limp, it has come to rest
       }

@@ -14,8 +14,10 @@ import base64
 import dataclasses
 import gzip
 import json
+import os
 import shutil
 import subprocess
+import sys
 import tarfile
 import tempfile
 from importlib.metadata import distribution
@@ -99,10 +101,11 @@ def physics(cache: Path) -> dict[str, bytes] | None:
     name, version = NPM_PACKAGE
     archive = cache / f"mujoco-wasm-{version}.tgz"
     if not archive.exists():
-        npm = shutil.which("npm")
+        npm, environment = shutil.which("npm"), os.environ | {"npm_config_fetch_retries": "0"}
         with tempfile.TemporaryDirectory() as folder:
             command = [npm or "", "pack", f"{name}@{version}", "--pack-destination", folder]
-            if not npm or subprocess.run(command, capture_output=True, check=False).returncode:
+            if not npm or subprocess.run(command, env=environment, capture_output=True).returncode:
+                print(f"note: no {name} from npm: its page shows a film", file=sys.stderr)
                 return None
             (fetched,) = Path(folder).glob("*.tgz")
             files.write_bytes(archive, fetched.read_bytes())

@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page
 from silem.envs import make_vec
 from silem.report import results, web
 from silem.study.evaluate import load_policy
+from silem.util.errors import SilemError
 
 pytestmark = pytest.mark.xdist_group("book")
 
@@ -126,6 +127,17 @@ def test_keys_push_and_arms_stretch(site: Path, page: Page) -> None:
     page.mouse.move(box["x"] + 260, box["y"] + 100)
     page.mouse.up()
     page.get_by_text("Pushed with 120 N").wait_for()
+
+
+def test_another_package_is_refused_and_none_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))  # where there is no npm
+    assert web.physics(tmp_path) is None
+    assert "shows a film" in capsys.readouterr().err
+    (tmp_path / f"mujoco-wasm-{web.NPM_PACKAGE[1]}.tgz").write_bytes(b"another")
+    with pytest.raises(SilemError, match="SHA-256"):
+        web.physics(tmp_path)
 
 
 @pytest.mark.parametrize("lacks", ["WebAssembly", "packs"])
