@@ -233,7 +233,7 @@ def _short(text: str) -> str:
 
 def budget_of(options: argparse.Namespace) -> Budget:
     """Return the budget that the options ask for."""
-    budget = budget_named(options.budget or "tiny")
+    budget = budget_named("tiny" if options.budget is None else options.budget)
     return budget if options.iterations is None else budget.with_iterations(options.iterations)
 
 
@@ -244,6 +244,8 @@ def config_of(options: argparse.Namespace) -> RunConfig:
         if given := [f"--{name}" for name in named if getattr(options, name) is not None]:
             raise SilemError(f"--config says all that {', '.join(given)} would say; give either")
         return RunConfig.from_dict(files.read_json(options.config))
+    if options.demonstrations == "":
+        raise SilemError("--demonstrations needs a name, an expert's body, a clip or an .npz file")
     if not (options.body and options.method):
         raise SilemError("--body and --method are needed, or --config")
     body, method = options.body, choose("method", options.method, METHODS)

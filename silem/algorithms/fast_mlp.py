@@ -102,7 +102,8 @@ class FlatActorCritic:
         """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam.
 
         What stable-baselines3 does to observations before the networks see them is part of it:
-        the twin takes Box observations as they are, so not those that count as images.
+        the twin takes Box observations as they are, so not those that count as images. It moves
+        every parameter and runs no hooks, so there may be neither frozen parameters nor hooks.
         """
         if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
             return False
@@ -122,15 +123,22 @@ class FlatActorCritic:
             as_it_is
             and plain_adam
             and _same(adam.param_groups[0]["params"], parameters)
-            and all(p.device.type == "cpu" and p.dtype == th.float32 for p in parameters)
+            and all(
+                p.requires_grad and p.device.type == "cpu" and p.dtype == th.float32
+                for p in parameters
+            )
+            and not any(m._forward_hooks or m._forward_pre_hooks for m in policy.modules())
             and type(policy.action_dist) is DiagGaussianDistribution
             and not policy.squash_output
             and type(policy.features_extractor) in (FlattenExtractor, RunningNormalizer)
             and type(hidden) is MlpExtractor
             and all(
                 type(layer) is (nn.Tanh if i % 2 else nn.Linear)
-                for net in (hidden.policy_net, hidden.value_net)
-                for i, layer in enumerate(net)
+                for net, head in (
+                    (hidden.policy_net, policy.action_net),
+                    (hidden.value_net, policy.value_net),
+                )
+                for i, layer in enumerate([*net, head])
             )
         )
 

@@ -169,10 +169,16 @@ class GAIfO(PPO):
             raise SilemError(f"disc_hidden must be a list of layer sizes, not {self.disc_hidden!r}")
         for size in self.disc_hidden:
             check_numbers({"each size in disc_hidden": size}, {"each size in disc_hidden": COUNT})
+        rows = self.n_steps * self.n_envs
+        for name in self._numbers:
+            if name.endswith("_updates") and getattr(self, name) > rows:
+                raise SilemError(f"{name} is {getattr(self, name)}; a rollout has {rows} windows")
         choose("reward", self.reward, REWARDS)
         self.demonstrations = _checked(self.demonstrations, type(self).__name__)
         marks, n = self.absorbing_states, len(self.demonstrations.features)
-        per_episode = isinstance(marks, Sequence) and len(marks) == n
+        per_episode = (
+            isinstance(marks, Sequence) and len(marks) == n and {*map(type, marks)} == {bool}
+        )
         if not isinstance(marks, bool) and not per_episode:
             raise SilemError(f"absorbing_states must be a bool, or one for each of {n} episodes")
         self._absorbing = marks is not False

@@ -22,7 +22,7 @@ from silem.algorithms import state
 from silem.algorithms.fast_mlp import Batch, FlatActorCritic, Losses
 from silem.algorithms.networks import RunningNormalizer
 from silem.util import errors
-from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError
+from silem.util.errors import BOUND, COUNT, FACTOR, RATE, SEED, WEIGHT, NumberKind, SilemError
 
 _EPISODE_STATS = {"r": "return_mean", "speed_m_s": "speed_m_s", "l": "episode_length"}
 _OF_THE_FILE = {"self", "policy", "args", "kwargs", "normalize_observations", "_init_setup_model"}
@@ -47,12 +47,14 @@ class PPO(SB3PPO):
 
     _numbers: ClassVar[dict[str, NumberKind]] = {
         "n_steps": COUNT, "batch_size": COUNT, "n_epochs": COUNT, "gamma": FACTOR,
-        "gae_lambda": FACTOR, "ent_coef": WEIGHT, "vf_coef": WEIGHT, "max_grad_norm": RATE,
-        "learning_rate": RATE,
+        "gae_lambda": FACTOR, "ent_coef": WEIGHT, "vf_coef": WEIGHT, "max_grad_norm": BOUND,
+        "learning_rate": RATE, "clip_range": RATE, "clip_range_vf": RATE, "target_kl": RATE,
+        "stats_window_size": COUNT, "seed": SEED,
     }  # fmt: skip
+    _optional: ClassVar[set[str]] = {"clip_range_vf", "target_kl", "seed"}  # may be None
     # what learns: its module and its optimizer among the attributes, which `save` keeps as such
     _learns: ClassVar[dict[str, tuple[str, str]]] = {"policy": ("policy", "policy.optimizer")}
-    _transient: ClassVar[list[str]] = ["_fast", "_rng", "_bootstrap", "_episodes"]
+    _transient: ClassVar[list[str]] = ["_fast", "_rng", "_bootstrap", "_episodes", "_begun"]
 
     def __init__(
         self, policy: Any, env: Any, *args: Any, normalize_observations: bool = True, **kwargs: Any
@@ -63,9 +65,10 @@ class PPO(SB3PPO):
             kwargs["policy_kwargs"] = chosen | (kwargs.get("policy_kwargs") or {})
         kwargs.setdefault("device", "cpu")
         self._fast: FlatActorCritic | None = None
-        self._rng = np.random.default_rng(kwargs.get("seed"))
+        self._begun: list[Any] = []
         self.iteration_stats: dict[str, float] = {}
         self._check_numbers(kwargs)  # before stable-baselines3 divides by them
+        self._rng = np.random.default_rng(kwargs.get("seed"))
         super().__init__(policy, env, *args, **kwargs)
 
     @classmethod
@@ -92,8 +95,8 @@ class PPO(SB3PPO):
                 ``print_system_info`` and ``force_reset``, as in stable-baselines3.
 
         Raises:
-            SilemError: An argument is unknown or of no use, or the networks that the arguments
-                describe are not those of the file.
+            SilemError: An argument is unknown or of no use, the networks that the arguments
+                describe are not those of the file, or the file cannot be read.
         """
         allowed = {"print_system_info": None, "force_reset": None}
         for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
@@ -106,8 +109,13 @@ class PPO(SB3PPO):
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
             return super().load(path, env, device, custom_objects, **kwargs)
+        except SilemError:
+            raise
         except RuntimeError as error:
-            raise SilemError(f"{path} holds other networks than asked for: {error}") from error
+            reason = errors.reason(error)
+            raise SilemError(f"{path} holds other networks than asked for: {reason}") from error
+        except (OSError, ValueError) as error:
+            raise SilemError(f"cannot load {path}: {errors.reason(error)}") from error
 
     def export_policy(self, path: Path | str, **about: str) -> None:
         """Write the policy as a safetensors file, numbers alone, for `silem.load_policy`.
@@ -155,6 +163,24 @@ class PPO(SB3PPO):
         """Return their optimizers, by the same names."""
         return {name: recursive_getattr(self, adam) for name, (_, adam) in self._learns.items()}
 
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
+        if self._was_reset():
+            self._last_obs = None  # stable-baselines3 then begins new episodes
+        prepared = super()._setup_learn(*args, **kwargs)
+        self._note_begun()
+        return prepared
+
+    def _note_begun(self) -> None:
+        """Remember the episodes under way: a reset puts other infos in the place of theirs."""
+        assert self.env is not None
+        self._begun = list(self.env.unwrapped.reset_infos)
+
+    def _was_reset(self) -> bool:
+        """Tell whether the environments were reset behind the model's back, to evaluate it, say."""
+        assert self.env is not None
+        now, then = self.env.unwrapped.reset_infos, self._begun
+        return len(now) != len(then) or any(a is not b for a, b in zip(now, then, strict=True))
+
     def collect_rollouts(
         self,
         env: VecEnv,
@@ -167,10 +193,14 @@ class PPO(SB3PPO):
         Values at time limits are kept apart from the rewards, so that an imitation learner can
         put other rewards in their place before it learns. A rollout that is broken off, by a
         callback or an error, leaves the environments ahead of what the model saw of them; the
-        next ``learn`` therefore begins with new episodes.
+        next ``learn`` therefore begins with new episodes. So does a rollout before which somebody
+        else has reset the environments.
 
         Returns:
             False if the callback ended training, else True.
+
+        Raises:
+            SilemError: The callback has reset the environments in the middle of the rollout.
         """
         complete = False
         try:
@@ -183,6 +213,9 @@ class PPO(SB3PPO):
     def _collect(
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_steps: int
     ) -> bool:
+        if self._was_reset():
+            self._last_obs = env.reset()  # type: ignore[assignment]
+            self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         self._refresh_twin()
         self.policy.set_training_mode(False)
         rollout_buffer.reset()
@@ -198,9 +231,15 @@ class PPO(SB3PPO):
             actions, values, log_probs = self._sample(self._last_obs)
             new_obs, rewards, dones, infos = env.step(self._env_actions(actions))
             self.num_timesteps += env.num_envs
+            self._note_begun()
             callback.update_locals(locals())
             if not callback.on_step():
                 return False
+            if self._was_reset():
+                raise SilemError(
+                    "a callback has reset the training environments in the middle of a rollout; "
+                    "whatever evaluates the model needs environments of its own"
+                )
             self._update_info_buffer(infos, dones)
             if isinstance(self.action_space, spaces.Discrete):
                 actions = actions.reshape(-1, 1)
@@ -258,8 +297,11 @@ class PPO(SB3PPO):
         return [name for names in self._learns.values() for name in names], []
 
     def _check_numbers(self, values: dict[str, Any]) -> None:
-        # a learning rate may be a schedule
-        numbers = {name: value for name, value in values.items() if not callable(value)}
+        numbers = {
+            name: value
+            for name, value in values.items()
+            if not callable(value) and not (value is None and name in self._optional)
+        }  # rates and ranges may be schedules
         errors.check_numbers(numbers, self._numbers)
 
     def _check_settings(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import NormalizeObservation
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
 from silem.util.errors import SilemError
@@ -89,8 +90,8 @@ class LearnerFeatures:
         infos = env.unwrapped.reset_infos
         if self._in_infos is None:
             self._in_infos = any(INFO_KEY in info for info in infos)
-            if not self._in_infos:
-                _check_observations(env)
+        if not self._in_infos:
+            _check_observations(env)
         return self._read(observations, infos, "reset", range(env.num_envs))
 
     def reached(
@@ -134,9 +135,15 @@ class LearnerFeatures:
                 )
         rows = [infos[i][INFO_KEY] if self._in_infos else observations[i] for i in which]
         try:
-            features = np.array(rows, dtype=np.float32).reshape(len(which), -1)
-        except (TypeError, ValueError) as error:
+            features = np.array(rows)
+        except ValueError as error:  # of several lengths
             raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
+        if features.dtype.kind not in "fiu":
+            kind = features.dtype
+            raise SilemError(
+                f"the learner's skeletal features are no vectors of numbers but {kind}"
+            )
+        features = features.astype(np.float32, copy=False).reshape(len(which), -1)
         if features.shape[1] != self.n_features:
             raise SilemError(
                 f"the demonstrations have {self.n_features} features per state, the learner's "
@@ -152,12 +159,15 @@ def _check_observations(env: VecEnv) -> None:
             "a dictionary of observations is no vector of features; the environment must supply"
             f" info[{INFO_KEY!r}] from reset and step"
         )
-    wrapper = unwrap_vec_normalize(env)
+    wrapper, remedy = unwrap_vec_normalize(env), "leave it away"
+    changes = "NormalizeObservation" if any(env.env_is_wrapped(NormalizeObservation)) else ""
     if wrapper is not None and wrapper.norm_obs:
+        changes, remedy = "VecNormalize", f"{remedy} or pass it norm_obs=False"
+    if changes:
         raise SilemError(
-            "VecNormalize changes the observations that are compared with the demonstrations as"
-            " it goes; leave it away or pass it norm_obs=False (the policy normalises its"
-            f" observations itself), or have the environment supply info[{INFO_KEY!r}]"
+            f"{changes} changes the observations that are compared with the demonstrations as"
+            f" it goes; {remedy} (the policy normalises its observations itself), or have the"
+            f" environment supply info[{INFO_KEY!r}]"
         )
 
 

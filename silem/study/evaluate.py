@@ -69,12 +69,17 @@ def load_policy(record: RunRecord) -> Policy:
     """Return a finished run's policy, ready to `predict`.
 
     Raises:
-        SilemError: The policy's file is missing or not the recorded one.
+        SilemError: The policy's file is missing, not the recorded one, or of another body.
     """
     config = record.run_config()
     if config.method == "random":
         return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
-    policy = algorithms.load_policy(record.file(POLICY))
+    policy, env = algorithms.load_policy(record.file(POLICY)), make_vec(config.learner, 1)
+    env.close()
+    for kind in ("observation_space", "action_space"):
+        found, wanted = getattr(policy, kind).shape, getattr(env, kind).shape
+        if found != wanted:
+            raise SilemError(f"{POLICY} is of another body: its {kind} is {found}, not {wanted}")
     if not config.hyper.clip_actions:
         policy.action_space = unclipped(policy.action_space)
     return policy

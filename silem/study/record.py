@@ -34,7 +34,9 @@ CURVE_COLUMNS = (
 )  # fmt: skip
 """Of a learning curve, which has one row per iteration."""
 
-_ALWAYS = 10  # the first columns stand in every published curve, a later one where it has numbers
+ALWAYS = 10
+"""So many first columns stand in every published curve, a later one where it has numbers."""
+
 MAX_ROWS = 200
 """Rows of a published curve."""
 
@@ -199,7 +201,7 @@ def thinned(curve: np.ndarray) -> np.ndarray:
 def curve_csv(curve: np.ndarray) -> str:
     """Return a curve, thinned, as CSV text: 5 significant digits, blank for NaN."""
     rows = thinned(curve)
-    used = [i for i in range(len(CURVE_COLUMNS)) if i < _ALWAYS or not np.isnan(rows[:, i]).all()]
+    used = [i for i in range(len(CURVE_COLUMNS)) if i < ALWAYS or not np.isnan(rows[:, i]).all()]
     lines = [[CURVE_COLUMNS[i] for i in used]]
     for values in rows[:, used]:
         numbers = ["" if np.isnan(value) else f"{value:.5g}" for value in values[2:]]

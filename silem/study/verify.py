@@ -16,6 +16,7 @@ import numpy as np
 from silem.motion import demonstrations as demos
 from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.record import (
+    ALWAYS,
     CURVE,
     CURVE_COLUMNS,
     MAX_ROWS,
@@ -27,7 +28,7 @@ from silem.study.record import (
     git,
     provenance,
 )  # fmt: skip
-from silem.study.settings import Budget
+from silem.study.settings import IMITATORS, Budget
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
@@ -39,6 +40,10 @@ TOLERANCE = 5.0
 """On another processor a policy meets other episodes; the mean return of those evaluated anew may
 then differ from the recorded one by so many standard errors of the difference."""
 
+# What code raises that takes a record's content for what it should be.
+_MALFORMED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+# older records did not count it; no episode need end while an imitator learns
+_MAY_LACK = ("processor_time_s", "disc_reward_last")
 _ROUNDING = 1e-3  # single returns are recorded with three digits after the point
 
 
@@ -71,7 +76,7 @@ def check(folder: Path) -> RunRecord:
             raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+    except _MALFORMED as error:
         raise SilemError(f"{folder}: the record lacks or misstates {reason(error)}") from error
     return record
 
@@ -94,21 +99,35 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
         if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
             yield f"return_{kind} is not the {kind} of the episodes' returns"
 
+    yield from _faults_of_numbers(record, config)
+    yield from _faults_of_files(record, config)
+
+
+def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
+    evaluation, training = record.evaluation, record.training
     # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
     # What other environments pay is not known, nor how fast they are.
-    speed_m_s = evaluation["speed_m_s"]
+    # D is between 0 and 1 at each step, where there is a D.
+    speed_m_s, max_steps = evaluation["speed_m_s"], config.learner.max_steps
     highest = math.inf if speed_m_s is None else MAX_STEPS * (1 + max(0.0, speed_m_s))
-    for what, value, low, high in (
-        ("upright", evaluation["upright"], 0.0, 1.0),
-        ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S),
-        ("return_mean", evaluation["return_mean"], -math.inf, highest),
-        ("wall_time_s", record.wall_time_s, 0.0, math.inf),
-        ("processor_time_s", record.processor_time_s, 0.0, math.inf),
-        ("steps_per_s", training["steps_per_s"], 0.0, math.inf),
+    told, imitates = config.learner.engine != "gymnasium", config.method in IMITATORS
+    for what, value, low, high, there in (
+        ("upright", evaluation["upright"], 0.0, 1.0, told),
+        ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S, told),
+        ("return_mean", evaluation["return_mean"], -math.inf, highest, True),
+        ("disc_reward_mean", evaluation["disc_reward_mean"], 0.0, max_steps, imitates),
+        ("disc_reward_last", training["disc_reward_last"], 0.0, max_steps, imitates),
+        ("wall_time_s", record.wall_time_s, 0.0, math.inf, True),
+        ("processor_time_s", record.processor_time_s, 0.0, math.inf, True),
+        ("steps_per_s", training["steps_per_s"], 0.0, math.inf, config.method != "random"),
     ):
-        if value is not None and not (low <= value <= high and value < math.inf):
+        if value is None:
+            if there and what not in _MAY_LACK:
+                yield f"it does not say {what}"
+        elif not (low <= value <= high and value < math.inf):
             yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
-    yield from _faults_of_files(record, config)
+        elif not there and what.startswith("disc_"):
+            yield f"{what} is {value:g}, but {config.method} has no discriminator"
 
 
 def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
@@ -125,7 +144,8 @@ def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
             yield f"{POLICY} is the policy of {about.get('run_id')!r}"
-        yield from _faults_of_curve(files.read_csv(record.file(CURVE)), config.budget)
+        curve = files.read_csv(record.file(CURVE))
+        yield from _faults_of_curve(curve, config.budget, config.learner.max_steps)
     if TRANSFORM in expected:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
@@ -146,8 +166,23 @@ def _not_finite(value: Any, where: str = "record") -> Iterator[str]:
             yield from _not_finite(entry, f"{where}.{key}")
 
 
-def _faults_of_curve(columns: dict[str, np.ndarray], budget: Budget) -> Iterator[str]:
-    if list(columns) != [name for name in CURVE_COLUMNS if name in columns]:
+def _faults_of_curve(
+    columns: dict[str, np.ndarray], budget: Budget, max_steps: int
+) -> Iterator[str]:
+    ranges = {
+        "speed_m_s": (-FASTEST_M_S, FASTEST_M_S),
+        "disc_reward": (0, max_steps),
+        "episode_length": (1, max_steps),
+        "policy_std": (0, math.inf),
+    } | dict.fromkeys(("disc_acc_expert", "disc_acc_learner", "domain_acc"), (0, 1))
+    for name, values in columns.items():
+        low, high = ranges.get(name, (-math.inf, math.inf))
+        known = values[~np.isnan(values)]
+        if np.isinf(known).any() or (known < low).any() or (known > high).any():
+            yield f"{CURVE}: {name} can be {low:g} to {high:g}"
+    if {*CURVE_COLUMNS[:ALWAYS]} - columns.keys() or list(columns) != [
+        name for name in CURVE_COLUMNS if name in columns
+    ]:
         yield f"{CURVE} has the columns {', '.join(columns)}"
     iterations = columns["iteration"]
     if (
@@ -172,6 +207,10 @@ def check_source(record: RunRecord) -> None:
         if sha != record.demonstrations_sha256:
             raise SilemError(f"{record.run_id} was made with other demonstrations")
         there.first(config.hyper.n_trajectories)
+        if TRANSFORM in record.files:
+            width = len(files.read_npz(record.file(TRANSFORM))["A"])
+            if width != there.n_features:
+                raise SilemError(f"{TRANSFORM} is of {width} features, not {there.n_features}")
     source = record.provenance
     if config.budget.is_evidence and (history := _history()) is not None:
         for commit in (source.get("git_commit"), *(source.get("earlier_commits") or ())):
@@ -204,12 +243,15 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
         check_source(record)
         if n_episodes < 1:
             return Verdict(record.run_id, SOUND, "its policy was not evaluated")
-        return _evaluated(record, min(n_episodes, record.evaluation["n_episodes"]))
+        total = record.run_config().budget.n_eval_episodes
+        return _evaluated(record, min(n_episodes, total), total)
     except SilemError as error:
         return Verdict(folder.name, NOT, str(error))
+    except _MALFORMED as error:
+        return Verdict(folder.name, NOT, f"the record lacks or misstates {reason(error)}")
 
 
-def _evaluated(record: RunRecord, n: int) -> Verdict:
+def _evaluated(record: RunRecord, n: int, total: int) -> Verdict:
     import torch  # what follows needs physics and networks; what precedes does not
 
     from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
@@ -217,7 +259,7 @@ def _evaluated(record: RunRecord, n: int) -> Verdict:
 
     torch.set_num_threads(1)
     evaluation, config = record.evaluation, record.run_config()
-    total, policy, task = evaluation["n_episodes"], load_policy(record), task_options(config)
+    policy, task = load_policy(record), task_options(config)
     with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:
         there = list(itertools.islice(every, n))
     recorded = np.array(evaluation["returns"][:n])

@@ -62,7 +62,11 @@ class NumberKind:
 
 
 COUNT = NumberKind("a whole number from 1", lambda n: isinstance(n, Integral) and int(n) > 0)
-RATE = NumberKind("a number above 0", lambda x: x > 0)
+SEED = NumberKind(
+    "a whole number from 0 to 2**32 - 1", lambda n: isinstance(n, Integral) and 0 <= int(n) < 2**32
+)
+RATE = NumberKind("a finite number above 0", lambda x: 0 < x < math.inf)
+BOUND = NumberKind("a number above 0", lambda x: x > 0)
 WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x < math.inf)
 FACTOR = NumberKind("a number above 0 and at most 1", lambda x: 0 < x <= 1)
 

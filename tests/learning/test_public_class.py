@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import warnings
 
@@ -12,8 +13,9 @@ import stable_baselines3 as sb3
 import torch as th
 from gymnasium import spaces
 from point_mass import PointMass, expert_of_point_mass
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 from test_windows import Counter, CounterWithFeatures
 
@@ -150,6 +152,23 @@ def test_update_reaches_tensors_that_a_callback_has_put_in_place() -> None:
     assert all(not th.equal(old, p) for old, p in after)
 
 
+def test_frozen_parameters_stay_and_hooks_are_heard() -> None:
+    """As in stable-baselines3, whose own path runs."""
+    frozen, hooked, squashed = new(), new(), new()
+    for p in frozen.policy.mlp_extractor.value_net.parameters():
+        p.requires_grad = False
+    before = [p.detach().clone() for p in frozen.policy.parameters()]
+    frozen.learn(240)
+    kept = [th.equal(*pair) for pair in zip(before, frozen.policy.parameters(), strict=True)]
+    assert kept == [not p.requires_grad for p in frozen.policy.parameters()]
+    hooked.policy.value_net.register_forward_hook(lambda module, inputs, output: output + 3.0)
+    head = squashed.policy.action_net
+    squashed.policy.action_net = th.nn.Sequential(head, th.nn.Tanh())
+    for model in (hooked, squashed):
+        compare(model)
+        assert model._fast is None
+
+
 class Noise(gym.Env):
     """Observes samples of a space, whatever is done."""
 
@@ -224,9 +243,12 @@ class StopAt(BaseCallback):
         return self.left > 0
 
 
-def counters(n_envs: int = 2, made: type = Counter) -> GAIfO:
+FIVE = dict(n_steps=5, batch_size=5, n_disc_updates=5, seed=0)
+
+
+def counters(n_envs: int = 2, made: type = Counter, **settings) -> GAIfO:
     demos = [np.zeros((5, 2), dtype=np.float32)]
-    return GAIfO("MlpPolicy", DummyVecEnv([made] * n_envs), demos, n_steps=5, batch_size=5, seed=0)
+    return GAIfO("MlpPolicy", DummyVecEnv([made] * n_envs), demos, **FIVE | settings)
 
 
 @pytest.mark.parametrize("stop_after", range(1, 10))
@@ -262,6 +284,31 @@ def test_windows_stay_whole_after_an_interrupt() -> None:
     assert windows_are_whole(model._windows)
 
 
+@pytest.mark.parametrize(
+    ("n_steps", "made"), [(3, DummyVecEnv), (4, DummyVecEnv), (4, SubprocVecEnv)]
+)
+def test_windows_stay_whole_after_somebody_else_used_the_environments(
+    n_steps: int, made: type
+) -> None:
+    model = counters(n_steps=n_steps, batch_size=2 * n_steps)  # episodes have 3
+    model.set_env(made([Counter] * 2))
+    env = model.get_env()
+    model.learn(2 * n_steps)
+    for use in (env.reset, lambda: evaluate_policy(model, env, n_eval_episodes=2, warn=False)):
+        use()
+        model.learn(2 * n_steps, reset_num_timesteps=False)
+        assert windows_are_whole(model._windows)
+    before = model._windows[-1, :, -1]
+    model.learn(2 * n_steps, reset_num_timesteps=False)  # and goes on where nobody did
+    assert (model._windows[0, :, -1, 0] - before[:, 0] == (before[:, 1] == 3)).all()
+    callback = EvalCallback(env, n_eval_episodes=1, eval_freq=2, warn=False, verbose=0)
+    with pytest.raises(SilemError, match="needs environments of its own"):
+        model.learn(2 * n_steps, callback=callback)
+    model.learn(2 * n_steps, reset_num_timesteps=False)
+    assert windows_are_whole(model._windows)
+    env.close()
+
+
 def test_broken_windows_would_be_noticed() -> None:
     """Negative control of `windows_are_whole`."""
     whole = np.array([[[1, 0], [1, 0], [1, 1]], [[1, 0], [1, 1], [1, 2]]])
@@ -275,6 +322,15 @@ def test_normalised_observations_are_refused_as_features() -> None:
     env = VecNormalize(make_vec_env(PointMass, 2, seed=0))
     with pytest.raises(SilemError, match=r"norm_obs=False.*skeletal_features"):
         GAIfO("MlpPolicy", env, DEMOS, **SMALL).learn(120)
+    model = GAIfO("MlpPolicy", make_vec_env(PointMass, 2, seed=0), DEMOS, **SMALL).learn(120)
+    model.set_env(env)
+    with pytest.raises(SilemError, match="VecNormalize"):
+        model.learn(120)
+    for made in (DummyVecEnv, SubprocVecEnv):
+        wrapped = made([lambda: gym.wrappers.NormalizeObservation(PointMass())])
+        with pytest.raises(SilemError, match=r"^NormalizeObservation changes the observations"):
+            GAIfO("MlpPolicy", wrapped, DEMOS, **SMALL).learn(120)
+        wrapped.close()
 
 
 def test_normalised_rewards_or_own_features_are_no_trouble() -> None:
@@ -284,7 +340,7 @@ def test_normalised_rewards_or_own_features_are_no_trouble() -> None:
     for name, array in plain.state_arrays().items():  # the environment's reward is not learned from
         np.testing.assert_array_equal(wrapped.state_arrays()[name], array)
     own = VecNormalize(DummyVecEnv([CounterWithFeatures]))
-    model = GAIfO("MlpPolicy", own, [np.zeros((5, 3))], n_steps=5, batch_size=5, seed=0).learn(5)
+    model = GAIfO("MlpPolicy", own, [np.zeros((5, 3))], **FIVE).learn(5)
     np.testing.assert_array_equal(model._windows[0, 0, :, 1], [0, 0, 0, -1])  # raw
 
 
@@ -307,12 +363,12 @@ class DictionaryAlone(Dictionary):
 def test_dictionaries_of_observations_learn_from_features_in_infos(method: type) -> None:
     demos = [np.zeros((5, 3), dtype=np.float32)]
     env = DummyVecEnv([Dictionary] * 2)
-    model = method("MultiInputPolicy", env, demos, n_steps=5, batch_size=5, seed=0).learn(20)
+    model = method("MultiInputPolicy", env, demos, **FIVE).learn(20)
     np.testing.assert_array_equal(model._windows[0, 0, -1, 2], 7.0)
     assert windows_are_whole(-model._windows[..., :2])
     with pytest.raises(SilemError, match=r"dictionary.*skeletal_features"):
         env = DummyVecEnv([DictionaryAlone] * 2)
-        method("MultiInputPolicy", env, demos, n_steps=5, batch_size=5, seed=0).learn(20)
+        method("MultiInputPolicy", env, demos, **FIVE).learn(20)
 
 
 class FromResetAlone(CounterWithFeatures):
@@ -336,6 +392,16 @@ class OfNoVector(CounterWithFeatures):
         return {"skeletal_features": "left foot"}
 
 
+class OfNoNumbers(CounterWithFeatures):
+    def _info(self) -> dict:
+        return {"skeletal_features": 1j * super()._info()["skeletal_features"]}
+
+
+class OfNoFloats(CounterWithFeatures):
+    def _info(self) -> dict:
+        return {"skeletal_features": [10**400, 0, 0]}
+
+
 @pytest.mark.parametrize(
     ("envs", "message"),
     [
@@ -344,13 +410,15 @@ class OfNoVector(CounterWithFeatures):
         ([CounterWithFeatures, Counter], "environment 1 lacks .* at reset"),
         ([Counter, CounterWithFeatures], "environment 0 lacks .* at reset"),
         ([FromTheFirstResetAlone], "environment 0 lacks .* at reset"),
-        ([OfNoVector], "no vectors"),
+        ([OfNoVector], "no vectors of numbers but <U9"),
+        ([OfNoNumbers], "no vectors of numbers but complex128"),
+        ([OfNoFloats], "no vectors of numbers but object"),
     ],
 )
 @pytest.mark.parametrize("width", [2, 3])
 def test_features_given_by_some_only_are_refused(envs: list, message: str, width: int) -> None:
     demos = [np.zeros((5, width), dtype=np.float32)]
-    model = GAIfO("MlpPolicy", DummyVecEnv(envs), demos, n_steps=5, batch_size=5, seed=0)
+    model = GAIfO("MlpPolicy", DummyVecEnv(envs), demos, **FIVE)
     wrong_width = "features per state" if "no vectors" not in message else message
     with pytest.raises(SilemError, match=f"{message}|{wrong_width}"):
         model.learn(20)
@@ -361,7 +429,7 @@ def test_subprocesses_give_the_same_windows() -> None:
     found = []
     for vec_env in (DummyVecEnv, SubprocVecEnv):
         env = vec_env([CounterWithFeatures] * 2)
-        model = GAIfO("MlpPolicy", env, demos, n_steps=5, batch_size=5, seed=0).learn(20)
+        model = GAIfO("MlpPolicy", env, demos, **FIVE).learn(20)
         found.append(model._windows)
         env.close()
     np.testing.assert_array_equal(*found)
@@ -393,6 +461,8 @@ def test_load_takes_what_the_constructor_takes(method: type, tmp_path) -> None:
         (dict(transform="mlp"), "networks"),
         (dict(demos=DEMOS), "argument of SILEM.load 'demos'.*demonstrations"),
         (dict(normalize_observations=False), "argument of SILEM.load"),
+        (dict(policy_kwargs={}), "cannot load .*policy kwargs"),
+        (dict(seed=-1), "seed must be a whole number"),
     ],
 )
 def test_load_refuses_what_does_not_fit(arguments: dict, message: str, tmp_path) -> None:
@@ -410,6 +480,9 @@ WRONG_NUMBERS = [
     ("disc_entropy_coef", -1e-3), ("transform_l2_scale", -1.0), ("transform_l2_bias", np.nan),
     ("n_steps", 0), ("n_epochs", 0), ("batch_size", -1), ("gamma", 0.0), ("gamma", 1.5),
     ("gae_lambda", -0.1), ("learning_rate", -1.0), ("ent_coef", -0.1), ("max_grad_norm", 0.0),
+    ("learning_rate", np.inf), ("transform_learning_rate", np.inf), ("clip_range", -0.2),
+    ("clip_range", np.nan), ("clip_range_vf", -1.0), ("target_kl", -1.0), ("seed", -1),
+    ("seed", 1.0), ("seed", True), ("seed", 2**32), ("stats_window_size", 0),
 ]  # fmt: skip
 
 
@@ -427,6 +500,10 @@ def test_numbers_that_are_out_of_range_are_refused(name: str, value: object) -> 
         (dict(reward="log d"), "d, airl, gail"),
         (dict(absorbing_states=[True, False]), "one for each of 1"),
         (dict(absorbing_states=1), "must be a bool"),
+        (dict(absorbing_states=["no"]), "must be a bool"),
+        (dict(absorbing_states="x"), "must be a bool"),
+        (dict(n_disc_updates=121), "n_disc_updates is 121; a rollout has 120 windows"),
+        (dict(n_transform_updates=121), "n_transform_updates is 121"),
         (dict(absorbing_states=True, gamma=1.0), "gamma below 1"),
     ],
 )
@@ -628,19 +705,19 @@ def test_what_cannot_be_exported_is_refused(tmp_path) -> None:
 
 class _Trap:
     def __reduce__(self) -> tuple:
-        return (warnings.warn, ("this code came with the file",))
+        return (os.mkdir, ("sprung",))
 
 
-def test_no_file_makes_load_policy_run_code(tmp_path) -> None:
+def test_no_file_makes_load_policy_run_code(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
     model = silem.PPO("MlpPolicy", make_vec_env(PointMass, 1), n_steps=16, batch_size=16)
     model.trap = _Trap()
     model.save(tmp_path / "model.zip")
-    with pytest.warns(UserWarning, match="came with the file"):
-        silem.PPO.load(tmp_path / "model.zip")  # the trap does work
+    silem.PPO.load(tmp_path / "model.zip")
+    (tmp_path / "sprung").rmdir()  # the trap does work
     (tmp_path / "pickle.safetensors").write_bytes(pickle.dumps(_Trap()))
     silem.util.files.write_tensors(tmp_path / "other.safetensors", {"a": np.zeros(3)})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for path in sorted(tmp_path.iterdir()):
-            with pytest.raises(SilemError):
-                silem.load_policy(path)
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises(SilemError):
+            silem.load_policy(path)
+    assert not (tmp_path / "sprung").exists()

@@ -69,7 +69,9 @@ class CounterWithFeatures(Counter):
 
 def collected_windows(env: type[gym.Env], n_features: int, n_iterations: int) -> np.ndarray:
     demos = [np.zeros((5, n_features), dtype=np.float32)]
-    model = SILEM("MlpPolicy", DummyVecEnv([env]), demos, n_steps=5, batch_size=5, seed=0)
+    model = SILEM(
+        "MlpPolicy", DummyVecEnv([env]), demos, n_steps=5, batch_size=5, n_disc_updates=5, seed=0
+    )
     model.learn(5 * n_iterations)
     return model._windows[:, 0]
 
@@ -109,7 +111,13 @@ class Diverging(Counter):
 
 def test_features_that_are_not_numbers_stop_the_training() -> None:
     model = SILEM(
-        "MlpPolicy", DummyVecEnv([Diverging]), [np.zeros((5, 2))], n_steps=6, batch_size=6, seed=0
+        "MlpPolicy",
+        DummyVecEnv([Diverging]),
+        [np.zeros((5, 2))],
+        n_steps=6,
+        batch_size=6,
+        n_disc_updates=6,
+        seed=0,
     )
     before = model.state_arrays()
     with pytest.raises(SilemError, match="skeletal features hold NaN"):

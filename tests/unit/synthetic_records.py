@@ -186,7 +186,7 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
             if walks:
                 stats |= {"speed_m_s": returns[i] / 530, "episode_length": 20 + 980 * share[i]}
         if config.demonstrations:
-            stats |= {"disc_reward": 450 * share[i] + 12 * rng.normal(), "disc_loss": 1.2}
+            stats |= {"disc_reward": abs(450 * share[i] + 12 * rng.normal()), "disc_loss": 1.2}
         rows.append(curve_row(i + 1, (i + 1) * config.budget.steps_per_iteration, stats))
     return curve_csv(np.array(rows))
 

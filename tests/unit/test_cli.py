@@ -33,6 +33,8 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC9 --method ppo", "unknown body 'HC9'; allowed: HC0"),
         ("run --body HC0", "--body and --method are needed"),
         ("run --body HC0 --method ppo --budget big", "unknown budget 'big'; allowed: tiny"),
+        ("run --body HC0 --method ppo --budget=", "unknown budget ''; allowed: tiny"),
+        ("run --body HC0 --method silem --demonstrations=", "--demonstrations needs a name"),
         ("run --body HC0 --method ppo --set gamma", "NAME=VALUE"),
         ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
         ("run --body HC0 --method ppo --set gama=0.9", "unknown setting of ppo on HC0 'gama'"),

@@ -7,13 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import synthetic_records as synthetic
 
 from silem.cli import main
+from silem.motion import demonstrations as demos
 from silem.study import runs, verify
 from silem.study.config import RunConfig
-from silem.study.record import CURVE, POLICY, RECORD, git
+from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, git
 from silem.study.settings import Budget
 from silem.util import files
 from silem.util.errors import SilemError
@@ -106,6 +108,12 @@ def test_an_honest_record_is_exact_here_and_from_another_processor(folders: list
         (put("evaluation", "returns", to=None), "lacks or misstates"),
         (lambda content: content["files"].pop(POLICY), "expected:"),
         (put("files", "../x", to="0" * 64), "expected:"),
+        (put("evaluation", "speed_m_s", to=None), "it does not say speed_m_s"),
+        (put("evaluation", "upright", to=None), "it does not say upright"),
+        (put("training", "steps_per_s", to=None), "it does not say steps_per_s"),
+        (put("evaluation", "disc_reward_mean", to=9.0), "ppo has no discriminator"),
+        (put("training", "disc_reward_last", to=9.0), "ppo has no discriminator"),
+        (put("training", "disc_reward_last", to=-7.0), "disc_reward_last is -7"),
     ],
 )
 def test_a_fabricated_record_is_told(
@@ -129,6 +137,47 @@ def test_another_runs_policy_is_told_by_its_id_or_by_what_it_does(folders: list[
     verify.check(mine)  # nothing in the files tells it now
     verdict = verify.verify(mine)
     assert verdict.outcome == verify.NOT and "0 of 2 returns equal" in verdict.why
+
+
+def test_another_bodys_policy_is_told_before_it_acts(folders: list[Path], capsys) -> None:
+    ant = RunConfig.create("Ant0", "ppo", None, config(0).budget, 0, minibatch_size=32, n_epochs=2)
+    other = runs.run(ant, progress=False).folder
+    arrays, _ = files.read_tensors(other / POLICY)
+    files.write_tensors(folders[0] / POLICY, arrays, {"run_id": folders[0].name})
+    rewrite(folders[0], put("files", POLICY, to=files.sha256(folders[0] / POLICY)))
+    assert "of another body" in verify.verify(folders[0]).why
+    assert main(["evaluate", folders[0].name, "--quiet"]) == 2
+    assert "its observation_space is (28,), not (26,)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lost", ["packages", "machine"])
+@pytest.mark.parametrize("to", [None, 3])
+def test_a_record_of_other_form_is_told_and_no_traceback(
+    folders: list[Path], lost: str, to: object
+) -> None:
+    rewrite(folders[0], lambda content: shifted(content, 0.5))
+    rewrite(folders[0], put("provenance", lost, to=to))
+    assert verify.verify(folders[0]).outcome in (verify.NOT, verify.WITHIN)
+    rewrite(folders[0], put("evaluation", "n_episodes", to=2.0))
+    assert verify.verify(folders[0]).outcome in (verify.NOT, verify.WITHIN)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("return_mean", "inf"), ("speed_m_s", "1e6"), ("disc_reward", "-5"), ("disc_reward", "1e4"),
+        ("disc_acc_expert", "7.5"), ("disc_acc_learner", "-0.1"), ("policy_std", "-3"),
+    ],
+)  # fmt: skip
+def test_a_curve_that_no_run_leaves_is_told(folders: list[Path], column: str, value: str) -> None:
+    path = folders[0] / CURVE
+    names, first, *rest = (line.split(",") for line in path.read_text().splitlines())
+    first[names.index(column)] = value
+    for kept in (slice(None), slice(2)):  # the second lacks columns
+        files.write_text(path, "".join(f"{','.join(r[kept])}\n" for r in (names, first, *rest)))
+        rewrite(folders[0], put("files", CURVE, to=files.sha256(path)))
+        with pytest.raises(SilemError, match=f"{column} can be|has the columns iteration, time"):
+            verify.check(folders[0])
 
 
 def test_another_runs_curve_is_told(folders: list[Path]) -> None:
@@ -168,8 +217,26 @@ def test_evidence_names_commits_of_the_history(
     verify.check_source(synthetic.write_record(expert, commit=head))
     with pytest.raises(SilemError, match=r"commit 0123456789ab.*not in history"):
         verify.check_source(synthetic.write_record(expert))
+    for commits in ({"git_commit": []}, {"earlier_commits": 5}, {"earlier_commits": [[]]}):
+        record = synthetic.write_record(expert, commit=head)
+        rewrite(record.folder, lambda content, c=commits: content["provenance"].update(c))
+        assert verify.verify(record.folder, 0).outcome == verify.NOT
     smaller = RunConfig.create("HC1", "ppo", budget="quick")
     verify.check_source(synthetic.write_record(smaller))  # no evidence
+
+
+def test_a_transform_of_other_width_than_the_demonstrations_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    record = synthetic.write_record(RunConfig.create("Humanoid", "silem", budget="tiny"))
+    _, sha = demos.load_published("cmu_08_01")
+    assert "made with other demonstrations" in verify.verify(record.folder, 0).why
+    rewrite(record.folder, put("demonstrations_sha256", to=sha))
+    assert verify.verify(record.folder, 0).outcome == verify.SOUND
+    files.write_npz(record.folder / TRANSFORM, {"A": np.ones(3), "b": np.ones(3)})
+    rewrite(record.folder, put("files", TRANSFORM, to=files.sha256(record.folder / TRANSFORM)))
+    assert verify.verify(record.folder, 0).why == "transform.npz is of 3 features, not 23"
 
 
 def test_the_command_names_what_is_not_so(
