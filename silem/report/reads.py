@@ -52,9 +52,14 @@ def _beside(executed: Path) -> Path:
 
 
 def _is_ours(path: Path) -> bool:
-    for root in (REPO, data_dir()):
+    """Tell whether what was read is of this project; of folders only those of data matter.
+
+    Python lists folders to find modules, and those that are found are noted as files.
+    """
+    for root in (data_dir(), REPO):
         if path.is_relative_to(root):
-            return not _PASSING & set(path.relative_to(root).parts)
+            known = root == data_dir() or not path.is_dir()
+            return known and not _PASSING & set(path.relative_to(root).parts)
     return False
 
 

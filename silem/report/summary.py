@@ -178,7 +178,10 @@ def judged() -> pd.DataFrame:
     """Return every claim with what this book's runs say, of all studies that are judged."""
     frames = {study: results.load_records(study, "book") for study in JUDGED}
     return pd.concat(
-        [scorecard.evaluate(frame).assign(study=study) for study, frame in frames.items()],
+        [
+            scorecard.evaluate(frame).assign(study=study, planned=results.n_trials(frame))
+            for study, frame in frames.items()
+        ],
         ignore_index=True,
     )
 
@@ -195,12 +198,15 @@ def verdicts() -> Table:
         if claim.printed is not None:
             ours += f", the paper's {number(claim.printed, digits)}"
         trials = "; ".join(f"{name} {count}" for name, count in finding.trials.items())
+        if not np.isnan(finding.detectable):
+            power = number(finding.detectable, digits)
+            trials += f"; {row.planned} would find a difference of {power}"
         text = f"**{claim.body} {row.verdict}:** {ours} ({trials})"
         grouped.setdefault(claim.title, []).append(text)
     rows = [(title, "<br>".join(texts)) for title, texts in grouped.items()]
     caption = (
         "The paper's claims by the rules of the scorecard: for each body the verdict, the value"
-        " with its 95 % interval where there are trials enough, and how many trials there are."
+        " with its 95 % interval where there are trials enough, and its trials."
     )
     return Table("verdicts", caption, ("Claim", "Here"), rows)
 
