@@ -206,7 +206,7 @@ def verdicts() -> Table:
     rows = [(title, "<br>".join(texts)) for title, texts in grouped.items()]
     caption = (
         "The paper's claims by the rules of the scorecard: for each body the verdict, the value"
-        " with its 95 % interval where there are trials enough, and its trials."
+        " with its 95 % interval where there are trials enough, and in brackets its trials."
     )
     return Table("verdicts", caption, ("Claim", "Here"), rows)
 
