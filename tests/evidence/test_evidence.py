@@ -14,8 +14,7 @@ from silem.bodies import humanoid
 from silem.motion.demonstrations import MANIFEST, Demonstrations
 from silem.motion.features import FEATURES
 from silem.report import results
-from silem.study import verify
-from silem.study.config import TRIAL_SEEDS
+from silem.study import studies, verify
 from silem.study.record import POLICY, RECORD, RunRecord
 from silem.study.settings import HUMAN, expert_of
 from silem.util import files, paths
@@ -46,7 +45,7 @@ def test_record_is_sound_and_whole(path: Path) -> None:
     config = record.run_config()
     assert config.study == path.parent.parent.name
     assert config.budget.is_evidence
-    assert config.seed in TRIAL_SEEDS
+    assert config.seed in studies.STUDIES[config.study].seeds
     present = {file.name: file.stat().st_size for file in path.parent.iterdir()}
     assert set(present) == {*record.files, RECORD}
     assert max(present.values()) <= MAX_BYTES
