@@ -53,7 +53,7 @@ def make_vec(
 
     Args:
         body: A body or its name, for example "HC2".
-        n_envs: E.
+        n_envs: How many environments, E.
         seed: Root of all environments' random streams.
         max_steps: Steps after which an episode is cut off; None means the body's.
         **options: What a humanoid's takes beside (see `MujocoVecEnv`), or a Gymnasium environment.

@@ -30,7 +30,7 @@ import nbformat
 from tqdm import tqdm
 
 from silem.report import glance, reads, results, style, web
-from silem.report.figures.trials import normalised_scores
+from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
 from silem.util.paths import REPO, data_dir
@@ -74,10 +74,8 @@ def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Par
     """Execute notebooks side by side, each in a process of its own, with a progress bar.
 
     The folder receives the executed copies, failed ones too. One that it already holds stays if
-    neither the notebook nor anything that it read has changed; all else there is removed.
-
-    Raises:
-        SilemError: If a notebook failed, once all have run; the message holds each failure.
+    neither the notebook nor anything that it read has changed; all else there is removed. Once all
+    have run, a SilemError holds each failure.
     """
     folder.mkdir(parents=True, exist_ok=True)
     fresh = [p for p in paths if reads.is_fresh(p, folder / p.name, parameters.get(p.stem, {}))]
@@ -137,11 +135,7 @@ def stage(executed: Path, target: Path) -> None:
 
 
 def build_html(source: Path, output: Path) -> None:
-    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``.
-
-    Raises:
-        SilemError: If jupyter-book reports an error or a warning.
-    """
+    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``."""
     for stale in ("html", ".doctrees", "jupyter_execute"):
         shutil.rmtree(output / "_build" / stale, ignore_errors=True)
     program = Path(sys.executable).with_name("jupyter-book")
@@ -179,16 +173,10 @@ def build(
     root: Path = REPO,
     parameters: Parameters = BOOK_PARAMETERS,
 ) -> Path:
-    """Build the whole book in ``_build`` under `root`.
+    """Build the whole book in ``_build`` under `root`, and return the folder of its pages.
 
-    Args:
-        n_workers: How many notebooks run at a time.
-        reuse_executed: Take the notebooks executed last time, where there are any.
-        root: The folder to build under; that of the pages is returned.
-        parameters: By the notebook's name, those that differ from its defaults.
-
-    Raises:
-        SilemError: If a notebook or a page fails, or another build is under way.
+    `n_workers` notebooks run at a time, or where there are any those executed last time are taken.
+    SilemError if a notebook or a page fails, or another build is under way.
     """
     folder = root / "_build"
     executed, source = folder / "executed", folder / "source"

@@ -1,5 +1,6 @@
-"""The paper's claims, each with the rule that decides it, fixed before its cells were complete.
+"""The scorecard: the paper's claims, each with the rule that decides it, and what our runs say.
 
+The rules were fixed before the cells that they judge were complete.
 A claim measures one or two quantities, each a mean over trials against bounds. Its interval is a
 95 % t interval (Student's for one cell, Welch's for two). A quantity passes where the whole
 interval lies within its bounds and fails where all of it lies outside; a claim "holds" or "does not
@@ -10,14 +11,19 @@ holds the variance of the demonstrator: all imitators of a study learn from the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.io.formats.style import Styler
 
 from silem import paper
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics
 from silem.report.statistics import NO_INTERVAL, Interval
+from silem.report.style import number
+from silem.report.tables import small, styled
 from silem.study.settings import BUDGETS
 from silem.util.errors import choose
 
@@ -41,6 +47,7 @@ RULES = {
 """What the rules of the claims have in common, in words."""
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
+_COLORS = {HOLDS: "#DDF3E4", FAILS: "#FBE3E0", UNDECIDED: "#F1F1F1"}
 
 Cell = tuple[str, str]
 """A method and a body."""
@@ -114,9 +121,7 @@ class Measure:
             samples[1] = bound * samples[1]
         low, high = NO_INTERVAL
         if min(counts.values()) >= MIN_TRIALS:
-            several = len(samples) == 2
-            find = statistics.difference_interval if several else statistics.mean_interval
-            low, high = find(*samples)
+            low, high = statistics.interval(*samples)
         interval = bound + low / unit, bound + high / unit
         planned, power = results.n_trials(frame), np.nan
         if planned > 1 and self.column != "returns":
@@ -132,26 +137,15 @@ class Measure:
 
 @dataclass(frozen=True)
 class Finding:
-    """What the runs say about one quantity.
-
-    Attributes:
-        ours: Its value.
-        interval: Its 95 % interval, NaN where a cell has fewer than `MIN_TRIALS` trials.
-        trials: Trials of each cell that it rests on, by the cell's name.
-        detectable: The distance from the bound that as many trials as planned would have found.
-        wins: The share of pairs of trials in which the first of two cells is higher.
-        of_best: The score against the best expert.
-
-    What no run tells is NaN.
-    """
+    """What the runs say about one quantity; what no run tells is NaN."""
 
     measure: Measure
     ours: float
-    interval: Interval
-    trials: dict[str, int]
-    detectable: float = float("nan")
-    wins: float = float("nan")
-    of_best: float = float("nan")
+    interval: Interval  # of 95 %, NaN where a cell has fewer than `MIN_TRIALS` trials
+    trials: dict[str, int]  # of each cell that it rests on, by the cell's name
+    detectable: float = float("nan")  # from the bound, what the planned trials would have found
+    wins: float = float("nan")  # share of pairs of trials in which the first of two cells is higher
+    of_best: float = float("nan")  # the score against the best expert
 
     @property
     def verdict(self) -> tuple[str, str]:
@@ -173,24 +167,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper.
-
-    Attributes:
-        title: The claim without its body.
-        where: Where the paper makes it.
-        measures: Its quantities with their bounds.
-        either: It holds where one of the quantities passes; else all have to.
-        printed: The paper's number, None where it only shows a figure.
-        moves: Two cells: the claim can be tested where the first moves, by the second's speed.
-    """
+    """One claim of the paper about one body, without which its title stands."""
 
     title: str
     body: str
-    where: str
+    where: str  # the paper makes it
     measures: tuple[Measure, ...]
-    either: bool = False
-    printed: float | None = None
-    moves: tuple[Cell, Cell] | None = None
+    either: bool = False  # it holds where one of the measures passes; else all have to
+    printed: float | None = None  # the paper's number; None where it only shows a figure
+    moves: tuple[Cell, Cell] | None = None  # tested where the first moves, by the second's speed
 
     @property
     def text(self) -> str:
@@ -238,15 +223,6 @@ class Claim:
             f"no expert level: PPO's experts stand ({expert.mean():.2f} m/s), so the score cannot"
             f" test it; the imitators' speed: {ours:.2f} m/s".replace("-", "−")
         )
-
-
-def of(study: str) -> tuple[Claim, ...]:
-    """Return the claims that a study's runs judge, in the order in which the book tells them.
-
-    Raises:
-        SilemError: The paper makes no claim that this study's runs could judge.
-    """
-    return CLAIMS[choose("study with claims", study, CLAIMS)]
 
 
 _RETURN = MARGIN * (paper.number("expert_return") - paper.number("random_return"))
@@ -344,3 +320,80 @@ def _humanoids() -> tuple[Claim, ...]:
 
 CLAIMS = {"halfcheetah": _half_cheetahs(), "humanoids": _humanoids()}
 """Every claim that is judged so far, by the study whose runs judge it."""
+
+
+def of(study: str) -> tuple[Claim, ...]:
+    """Return the claims that a study's runs judge, in the book's order; SilemError if none can."""
+    return CLAIMS[choose("study with claims", study, CLAIMS)]
+
+
+# ---------------------------------------------------------------- the page
+
+
+def evaluate(frame: pd.DataFrame, study: str = "") -> pd.DataFrame:
+    """Judge the claims about a study, by default the table's own: a row each, with its verdict."""
+    judged = of(study or results.context(frame)[0])
+    rows = [(claim, claim.text, *claim.judge(frame)) for claim in judged]
+    return pd.DataFrame(rows, columns=["claim", "text", "findings", "verdict", "reason"])
+
+
+def table(frame: pd.DataFrame) -> Styler:
+    """Return the scorecard for a page: the claim with its rule, the paper's number, ours, verdict.
+
+    Where a study plans the same cells with the paper's loss for D, without our gradient penalty,
+    its verdicts stand beside ours. Below a value with its 95 % interval: the trials, the score
+    against the best expert, the share of pairs of trials in which the first of two cells is
+    higher, and the distance from the bound that the planned trials would have found.
+    """
+    study, _ = results.context(frame)
+    tables = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
+    judged = {name: (f, evaluate(f, study)) for name, f in tables.items() if f is not None}
+    rows = []
+    for index, claim in enumerate(of(study)):
+        row: dict[Any, str] = {
+            ("", "claim"): claim.text + small(f"{claim.where}; holds if: {claim.rule}"),
+            ("", "paper"): number(claim.printed, claim.measures[0].digits),
+        }
+        for name, (runs, found) in judged.items():
+            entry, planned = found.iloc[index], results.n_trials(runs)
+            row[name, "value"] = "<br>".join(
+                _value(finding, planned, alone=len(entry.findings) == 1, trials=i == 0)
+                for i, finding in enumerate(entry.findings)
+            )
+            row[name, "verdict"] = f"<b>{entry.verdict}</b>" + small(entry.reason)
+        rows.append(row)
+    page = styled(pd.DataFrame(rows))
+    return page.map(_color, subset=[column for column in page.columns if column[1] == "verdict"])
+
+
+def counts(frame: pd.DataFrame) -> dict[str, int]:
+    """Count the verdicts: how many claims hold, do not hold, or are undecided."""
+    found = evaluate(frame)["verdict"].value_counts()
+    return {name: int(found.get(name, 0)) for name in (HOLDS, FAILS, UNDECIDED)}
+
+
+def rules() -> Styler:
+    """Return what the claims' rules have in common, in words."""
+    return styled(pd.DataFrame(RULES.items(), columns=["rule", "what it says"]))
+
+
+def _value(finding: Finding, planned: int, *, alone: bool, trials: bool) -> str:
+    """Write a value with everything that bears on it; its name before it unless it is alone."""
+    measure = finding.measure
+    write = partial(number, digits=measure.digits)
+    text = write(finding.ours) if alone else f"{measure.name} {write(finding.ours)}"
+    lines = [f"{name} {count}" for name, count in finding.trials.items()] if trials else []
+    if np.isfinite(finding.interval).all():
+        text += f" [{' to '.join(map(write, finding.interval))}]"
+    if measure.name == "score" and not np.isnan(finding.of_best):
+        lines.append(f"against the best expert {write(finding.of_best)}")
+    if not np.isnan(finding.wins):
+        lines.append(f"{number(100 * finding.wins)} % of pairs")
+    if not np.isnan(finding.detectable):
+        lines.append(f"{planned} trials find ±{write(finding.detectable)}")
+    return text + small("; ".join(lines))
+
+
+def _color(cell: str) -> str:
+    verdict = cell.removeprefix("<b>").partition("</b>")[0]
+    return f"background-color: {_COLORS[verdict]}; color: #222"

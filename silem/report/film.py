@@ -2,28 +2,26 @@
 
 A picture is a uint8 array (H, W, 3), a `Clip` a sequence of them. Every clip comes from `rollout`
 (what a policy does) or from `motion` (given poses), with one frame for every two control steps.
-Clips become H.264 that every browser plays, by the encoder that imageio-ffmpeg brings along.
+Clips become H.264 that every browser plays.
 """
 
 from __future__ import annotations
 
-import io
 import math
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import imageio_ffmpeg  # type: ignore[import-untyped]
+import imageio.v3 as imageio
 import mujoco
 import numpy as np
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
-from matplotlib.axes import Axes
 from PIL import Image, ImageDraw, ImageFont
+from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 import silem
@@ -32,7 +30,6 @@ from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.envs.mujoco.simulator import body_of
 from silem.motion import demonstrator
-from silem.report import style
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
 from silem.study.record import RunRecord
 from silem.util import files, seeding
@@ -67,8 +64,8 @@ class Clip:
         """Length in seconds."""
         return len(self.frames) / self.frames_per_s
 
-
-# ---------------------------------------------------------------- scenes
+    def _ipython_display_(self) -> None:
+        """As the last value of a cell it prints nothing: `notebook.play` has shown it."""
 
 
 def rollout(
@@ -84,8 +81,7 @@ def rollout(
     It acts stochastically, as in evaluation; the seed is that of the start and of its actions.
 
     Raises:
-        SilemError: The body is unknown, the duration is not positive, or nothing can be drawn
-            offscreen here.
+        SilemError: The duration is not positive, or nothing can be drawn offscreen here.
     """
     found = bodies.get(body) if isinstance(body, str) else body
     if not (duration_s > 0 and math.isfinite(duration_s)):
@@ -93,8 +89,8 @@ def rollout(
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or RandomPolicy(found)
-    if hasattr(policy, "reseed"):
-        policy.reseed(seeding.child_seed(seed, "video policy"))
+    reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
+    reseed(seeding.child_seed(seed, "video policy"))
     made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
     with closing(made) as env:
         env.picture_size = size
@@ -128,18 +124,12 @@ def motion(
     duration_s: float = math.inf,
     size: Size = SIZE,
 ) -> Clip:
-    """Film a humanoid posed along the start of a motion, in real time; no physics acts.
-
-    Of `qpos` (T, nq), with `rate_hz` poses a second, every other one is shown.
-
-    Raises:
-        SilemError: It is no humanoid, the duration is not positive, or nothing can be drawn
-            offscreen here.
-    """
+    """Film every other one of a humanoid's poses, (T, nq), in real time; no physics acts."""
     if not duration_s > 0:
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
-    pictures = _pictures(body_of(body), shown, size)
+    with closing(Camera(body_of(body), *size)) as camera:
+        pictures = np.stack([camera.picture(pose) for pose in shown])
     return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
 
 
@@ -160,29 +150,12 @@ def man() -> MujocoBody:
 
 
 def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
-    """Picture (H, W, 3) a body at rest: a humanoid standing, a runner's joints as near zero.
-
-    The camera fits the body, or sees `span_m` metres of width at a runner.
-
-    Raises:
-        SilemError: The body is unknown, the size or the span is not positive, there is a span for
-            a humanoid, or nothing can be drawn offscreen here.
-    """
+    """Picture (H, W, 3) a body at rest, fitted to it or, of a runner, `span_m` metres wide."""
     found = bodies.get(body) if isinstance(body, str) else body
     if isinstance(found, MujocoBody) and span_m is not None:
         raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
     with closing(Camera(found, *size, span_m)) as camera:
         return camera.picture()
-
-
-def portrait(axes: Axes, body: Body | str, size: Size, span_m: float | None = None) -> None:
-    """Show a body at rest (see `still`), or say that nothing can be drawn here."""
-    try:
-        style.picture(axes, still(body, size, span_m))
-    except SilemError:
-        style.picture(axes, np.full((*size[::-1], 3), 255, np.uint8))
-        words: dict[str, Any] = {"ha": "center", "va": "center", "transform": axes.transAxes}
-        axes.text(0.5, 0.5, "No picture: nothing can be\ndrawn offscreen here.", **words)
 
 
 def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> np.ndarray:
@@ -205,21 +178,8 @@ def why_no_pictures(body: str) -> str:
     return ""
 
 
-def _pictures(body: MujocoBody, poses: np.ndarray, size: Size) -> np.ndarray:
-    """Picture a humanoid in each of some poses (T, nq): (T, H, W, 3)."""
-    with closing(Camera(body, *size)) as camera:
-        return np.stack([camera.picture(pose) for pose in poses])
-
-
-# ---------------------------------------------------------------- cutting
-
-
 def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LABEL_SIZE) -> Clip:
-    """Lay clips out in rows, each under its label; one that ends early holds its last frame.
-
-    Raises:
-        SilemError: There are no clips, or they differ in frame rate or size.
-    """
+    """Lay clips out in rows, each under its label; one that ends early holds its last frame."""
     if len({(clip.frames_per_s, clip.frames.shape[1:]) for clip in clips.values()}) != 1:
         raise SilemError("the clips of a grid need one frame rate and one size, and there is none")
     first = next(iter(clips.values()))
@@ -238,9 +198,7 @@ def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LAB
 def _labelled(clip: Clip, label: str, size: float) -> Clip:
     """Write a label, its size a share of the height, into the upper left corner of every frame."""
     height, width = clip.frames.shape[1:3]
-    font = ImageFont.truetype(
-        font_manager.findfont("DejaVu Sans"), size=max(9, round(size * height))
-    )
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), max(9, round(size * height)))
     plate = Image.new("L", (width, height), 0)
     corner = round(size * height / 2)
     ImageDraw.Draw(plate).text((corner, corner), label, fill=255, font=font)
@@ -252,43 +210,27 @@ def _labelled(clip: Clip, label: str, size: float) -> Clip:
 
 
 def strip(clip: Clip, n_frames: int = 5) -> np.ndarray:
-    """Lay equally spaced frames of a clip side by side, from first to last: a film on paper.
-
-    Of a clip with fewer frames than asked for, all are shown.
-    """
+    """Lay equally spaced frames of a clip side by side, at most all: a film on paper."""
     chosen = np.linspace(0, len(clip.frames) - 1, min(n_frames, len(clip.frames)))
     whole = Image.fromarray(np.concatenate(list(clip.frames[chosen.round().astype(int)]), axis=1))
     height = max(1, round(whole.height * _STRIP_WIDTH / whole.width))
     return np.asarray(whole.resize((_STRIP_WIDTH, height), Image.Resampling.LANCZOS))
 
 
-# ---------------------------------------------------------------- files
-
-
 def encode_mp4(clip: Clip) -> bytes:
-    """Encode a clip as H.264 in an mp4 file (yuv420p, index first: plays while it loads).
+    """Encode a clip as H.264 (yuv420p, index first: plays while it loads), always the same bytes.
 
-    The same clip always gives the same bytes.
-
-    Raises:
-        SilemError: The encoder cannot run, or has no room for its temporary file.
+    An encoder that cannot run is a SilemError.
     """
     height, width = (size - size % 2 for size in clip.frames.shape[1:3])  # yuv420p: even sizes
     options = ["-crf", "28", "-preset", "slow", "-threads", "1", "-movflags", "+faststart"]
     options += ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1"]
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "clip.mp4"
-            writer = imageio_ffmpeg.write_frames(
-                str(path), (width, height), fps=clip.frames_per_s, codec="libx264",
-                pix_fmt_out="yuv420p", quality=None, macro_block_size=2, output_params=options,
-                ffmpeg_log_level="error",
-            )  # fmt: skip
-            writer.send(None)
-            for frame in np.ascontiguousarray(clip.frames[:, :height, :width]):
-                writer.send(frame)
-            writer.close()
-            return path.read_bytes()
+        return imageio.imwrite(
+            "<bytes>", clip.frames[:, :height, :width], extension=".mp4", plugin="FFMPEG",
+            fps=clip.frames_per_s, codec="libx264", pixelformat="yuv420p", quality=None,
+            macro_block_size=2, output_params=options, ffmpeg_log_level="error",
+        )  # fmt: skip
     except (OSError, RuntimeError) as error:
         raise SilemError(f"the video encoder failed: {error}") from error
 
@@ -297,30 +239,17 @@ def encode_webp(clip: Clip) -> bytes:
     """Encode a clip as an animated WebP picture, small, for places that play no video."""
     height, width = clip.frames.shape[1:3]
     size = (_WEBP_WIDTH, round(_WEBP_WIDTH * height / width))
-    pictures = [Image.fromarray(frame).resize(size) for frame in clip.frames]
-    memory = io.BytesIO()
-    pictures[0].save(
-        memory, "WEBP", save_all=True, append_images=pictures[1:], loop=0, quality=40, method=6,
-        duration=round(1000 / clip.frames_per_s),
-    )  # fmt: skip
-    return memory.getvalue()
+    pictures = [np.asarray(Image.fromarray(frame).resize(size)) for frame in clip.frames]
+    look: dict[str, Any] = {"duration": round(1000 / clip.frames_per_s), "loop": 0, "quality": 40}
+    return imageio.imwrite("<bytes>", pictures, extension=".webp", method=6, **look)
 
+
+encode_png = partial(imageio.imwrite, "<bytes>", extension=".png", optimize=True)
+"""Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
 
 _ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
 
 
 def write(path: Path, clip: Clip) -> None:
-    """Write a clip as an mp4 or a webp file, whichever its name ends in, atomically.
-
-    Raises:
-        SilemError: The name ends in anything else, or the file cannot be written; one that was
-            there before is untouched.
-    """
+    """Write a clip as an mp4 or a webp file, whichever its name ends in, whole or not at all."""
     files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
-
-
-def encode_png(picture: np.ndarray) -> bytes:
-    """Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()

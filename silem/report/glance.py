@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from silem.report import claims, results, scorecard, style
+from silem.report import claims, results, style
 from silem.report.pages import walking
 from silem.util import files
 from silem.util.errors import SilemError
@@ -51,7 +51,7 @@ def box(root: str = "") -> str:
 
 def _matrix(name: str, frame: pd.DataFrame) -> str:
     """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
-    found = scorecard.evaluate(frame)
+    found = claims.evaluate(frame)
     spans = found["reason"].str.contains("spans the bound")
     why = found["reason"].str.partition(":")[0].mask(spans, "interval spans the bound")
     title, body = ([getattr(claim, of) for claim in found["claim"]] for of in ("title", "body"))
@@ -131,19 +131,14 @@ PAGES = {REPO / "README.md": "", REPO / "book" / "intro.md": "../"}
 
 
 def filled(page: Path) -> str:
-    """Return a page's text with every generated block as it has to be now.
+    """Return a page's text with every generated block as it has to be now."""
 
-    Raises:
-        SilemError: The page has no block, or one without its end.
-    """
-    text, n_blocks = page.read_text(), 0
-    for name, write in _BLOCKS.items():
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-        if begin in text:
-            block = f"{begin}\n{write(PAGES.get(page, ''))}\n{end}"
-            pattern = f"{re.escape(begin)}.*?{re.escape(end)}"
-            parts = re.split(pattern, text, flags=re.DOTALL)
-            text, n_blocks = block.join(parts), n_blocks + len(parts) - 1
+    def block(found: re.Match[str]) -> str:
+        return f"{found[1]}\n{_BLOCKS[found[2]](PAGES.get(page, ''))}\n{found[3]}"
+
+    names = "|".join(_BLOCKS)
+    pattern = rf"(<!-- ({names}): begin -->).*?(<!-- \2: end -->)"
+    text, n_blocks = re.subn(pattern, block, page.read_text(), flags=re.DOTALL)
     if n_blocks != len(re.findall(r"<!-- [\w ]+: begin -->", text)) or not n_blocks:
         raise SilemError(f"{page.name}: a generated block is missing or has no end")
     return text

@@ -12,6 +12,7 @@ import ast
 import base64
 import html
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, groupby
 from numbers import Integral, Real
@@ -33,9 +34,8 @@ from silem.study.config import TRIAL_SEEDS
 from silem.util.errors import SilemError
 
 _PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
+_NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
 _TRIAL = 400, 300  # pixels of one trial's film
-
-# ---------------------------------------------------------------- parameters
 
 
 def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
@@ -51,8 +51,7 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
             strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
 
     Raises:
-        SilemError: Some parameter is unknown, missing, of a wrong type, not finite, or not one
-            of the strings allowed. The message names each and lists what is allowed.
+        SilemError: Naming each parameter that is unknown, missing or not what is allowed.
     """
     problems = [f"unknown parameter {n!r}" for n in _given(namespace) if n not in schema]
     problems += [f"parameter {name!r} is missing" for name in schema if name not in namespace]
@@ -80,28 +79,18 @@ def _given(namespace: Mapping[str, Any]) -> list[str]:
 
 def literal_assignments(source: str) -> list[str]:
     """Return the names that a cell assigns, if it does nothing but assign literals, else []."""
-    try:
-        statements = ast.parse(source).body
-    except SyntaxError:
-        return []
     names = []
-    for statement in statements:
-        if not isinstance(statement, ast.Assign | ast.AnnAssign) or not _literal(statement.value):
-            return []
-        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-        names += [target.id for target in targets if isinstance(target, ast.Name)]
-    return names
-
-
-def _literal(node: ast.expr | None) -> bool:
-    """Whether an expression is a literal; papermill writes nan and inf as ``float('nan')``."""
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "float":
-        return all(isinstance(argument, ast.Constant) for argument in node.args)
     try:
-        ast.literal_eval(node)  # type: ignore[arg-type]
-    except (ValueError, TypeError):
-        return False
-    return True
+        for statement in ast.parse(source).body:
+            if not isinstance(statement, ast.Assign | ast.AnnAssign):
+                return []
+            value = ast.unparse(statement.value) if statement.value else ""
+            ast.literal_eval(_NO_NUMBER.sub("0", value))
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            names += [target.id for target in targets if isinstance(target, ast.Name)]
+    except (SyntaxError, ValueError, TypeError):
+        return []
+    return names
 
 
 def _conforms(value: Any, allowed: type | Sequence[str]) -> bool:
@@ -122,25 +111,18 @@ def _describe(allowed: type | Sequence[str]) -> str:
     return f"one of {', '.join(allowed)}"
 
 
-# ---------------------------------------------------------------- display
-
-
 def show(figure: Figure) -> None:
-    """Display a figure as vector graphics; the same figure always gives the same bytes.
-
-    The runs it was drawn from follow in a cell of their own, by `silem.report.provenance.trace`:
-    a captioned cell may have one output only.
-    """
-    _display(SVG(style.svg(figure)))  # type: ignore[no-untyped-call]
+    """Display a figure as vector graphics; the same figure always gives the same bytes."""
+    display(SVG(style.svg(figure)))
 
 
 def show_picture(picture: np.ndarray) -> None:
     """Display a picture (H, W, 3)."""
-    _display(DisplayedImage(data=encode_png(picture)))  # type: ignore[no-untyped-call]
+    display(DisplayedImage(data=encode_png(picture)))
 
 
 def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
-    """Return a table in the book's look; a named index becomes its first column.
+    """Return a table of values in this project's look; a named index becomes its first column.
 
     Numbers that are not whole get `digits` after the point; with None they stay as they are.
     """
@@ -153,7 +135,7 @@ def _cell(value: Any, digits: int | None) -> str:
         return html.escape(str(value))
     if digits is None or isinstance(value, Integral):
         return f"{value:,}".replace("-", "−")
-    return tables.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
+    return style.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
 
 
 def play(clip: Clip | None, caption: str) -> None:
@@ -172,7 +154,7 @@ def play(clip: Clip | None, caption: str) -> None:
         f'<source type="video/mp4" src="data:video/mp4;base64,{video}"></video>'
         f"<figcaption>{text}</figcaption></figure>"
     )
-    _display_html(page)
+    display(HTML(page))
 
 
 def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
@@ -230,20 +212,12 @@ def play_trials(
 
 def text(words: str) -> None:
     """Show sentences that were made from records, in Markdown."""
-    _display(Markdown(words))  # type: ignore[no-untyped-call]
+    display(Markdown(words))
 
 
 def note(text: str) -> None:
     """Say on the page what is not there."""
-    _display_html(f"<p><em>{html.escape(text)}</em></p>")
-
-
-def _display(item: object) -> None:
-    display(item)  # type: ignore[no-untyped-call]
-
-
-def _display_html(text: str) -> None:
-    _display(HTML(text))  # type: ignore[no-untyped-call]
+    display(HTML(f"<p><em>{html.escape(text)}</em></p>"))
 
 
 def say(**values: float | str | np.ndarray | None) -> None:
@@ -259,9 +233,7 @@ def say(**values: float | str | np.ndarray | None) -> None:
 
 
 def _in_words(value: float | None) -> str:
-    """Write a number with as many digits as a sentence needs, and a true minus."""
-    if value is None or math.isnan(value):
-        return tables.DASH
-    if abs(value) >= 100 or value == int(value):
+    """Write a number with as many digits as a sentence needs."""
+    if value is None or math.isnan(value) or abs(value) >= 100 or value == int(value):
         return style.number(value)
-    return f"{value:.2f}".replace("-", "−")
+    return style.number(value, 2)

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from html import escape
 from itertools import chain
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from IPython.display import HTML
 
 from silem import bodies
 from silem.motion.features import FEATURES
@@ -43,11 +45,8 @@ PAPER_LOSS = {
 _WITHOUT_D = ("ppo", "random")
 
 
-# ---------------------------------------------------------------- from records to the table
-
-
 def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
-    """Load a study's finished runs at one budget, one row per run.
+    """Load a study's finished runs at one budget, one row per run; SilemError for a broken record.
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
@@ -61,9 +60,6 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
         episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
         dicts) and ``set_aside`` (run ids).
-
-    Raises:
-        SilemError: Unknown study or budget, or a record that `silem.study.verify` refuses.
     """
     choose("budget", budget, BUDGETS)
     plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
@@ -82,8 +78,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
     frame = found.drop_duplicates("plan")
     set_aside += list(found.drop(frame.index)["run_id"])
-    frame = frame.drop(columns="plan")
-    frame = frame.sort_values(_KEYS, key=_order).reset_index(drop=True)
+    frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
     missing = [_keys(plan) for plan in plans if plan.run_id not in set(frame["run_id"])]
     frame = _with_scores(frame, study, budget)
     frame.attrs = {"study": study, "budget": budget, "missing": missing}
@@ -92,10 +87,7 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
 
 
 def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
-    """Return a study's runs with the paper's loss for D; None where no study plans any.
-
-    Experts and the random policy, which have no discriminator, are the same runs in both.
-    """
+    """Return a study's runs with the paper's loss for D, where it has any, and those without D."""
     study, budget = context(frame)
     if study not in PAPER_LOSS:
         return None
@@ -122,10 +114,7 @@ def _is_copy(config: RunConfig) -> bool:
 
 
 def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
-    """Return the planned run that a run is, whatever its number of iterations; None for others.
-
-    Where runs are no evidence, their seeds need not be planned.
-    """
+    """Return the plan of a run of any number of iterations, of any seed where it is no evidence."""
     for plan in plans:
         if (plan.method, plan.body) == (config.method, config.body):
             if not plan.budget.is_evidence:
@@ -181,15 +170,8 @@ def _order(column: pd.Series) -> pd.Series:
     return column.map(ranks.index) if ranks else column
 
 
-# ---------------------------------------------------------------- what a table holds
-
-
 def context(frame: pd.DataFrame) -> tuple[str, str]:
-    """Return a table's study and budget.
-
-    Raises:
-        SilemError: The table was put together from several budgets, or not by `load_records`.
-    """
+    """Return a table's study and budget; SilemError if it mixes budgets or is no such table."""
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
     for body, counts in trained(frame).groupby("body")["n_iterations"].unique().items():
@@ -218,6 +200,42 @@ def describe(frame: pd.DataFrame) -> str:
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)
+
+
+def trace(frame: pd.DataFrame) -> HTML:
+    """Return the tracing line of the runs that a figure shows, with folded lists of them.
+
+    The lists are the runs with the command that reruns each, the planned runs that are not made yet
+    with the command that makes each, and the runs that were set aside.
+    """
+    from silem.report import web  # which reads results
+
+    study, budget = context(frame)
+    line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
+    where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
+    missing = frame.attrs["missing"]
+    set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
+    folded = {
+        f"the runs, and how to rerun each ({where})": frame.to_dict("records"),
+        f"planned runs that are not made yet ({len(missing)})": missing,
+        f"runs of other settings or seeds, not shown ({len(set_aside)})": set_aside,
+    }
+    page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
+    page += web.links(frame) if len(frame) else ""
+    for summary, shown in folded.items():
+        texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
+        codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]
+        items = "".join(f"<li>{code}</li>" for code in codes)
+        if items:
+            page += f"<details><summary>{escape(summary)}</summary><ul>{items}</ul></details>"
+    return HTML(f"{page}</div>")
+
+
+def commits(frame: pd.DataFrame) -> str:
+    """Name the commits that a table's runs were made with, and say where code had been changed."""
+    changed = frame["dirty"].eq(True).groupby(frame["commit"], sort=False).any()
+    names = [f"{name[:7]}{' with uncommitted changes' * dirty}" for name, dirty in changed.items()]
+    return f"commit{'s' if len(names) > 1 else ''} {', '.join(names)}"
 
 
 def n_trials(frame: pd.DataFrame) -> int:
@@ -250,9 +268,6 @@ def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     return method in frame.attrs.get("shared", ()) or (method, body) in planned
 
 
-# ---------------------------------------------------------------- parts of a table
-
-
 def select(
     frame: pd.DataFrame,
     methods: Sequence[str],
@@ -260,14 +275,7 @@ def select(
     *,
     with_stand_ins: bool = True,
 ) -> pd.DataFrame:
-    """Keep some methods' runs, and some bodies'; the missing runs are narrowed alike.
-
-    Args:
-        frame: Runs of one study at one budget.
-        methods: The methods.
-        names: The bodies, in the order in which figures show them; None keeps all.
-        with_stand_ins: Keep the runs of another number of iterations than planned.
-    """
+    """Keep some methods' runs, and some bodies' (None: all), and so of the missing runs."""
     shown = list(names or body_names(frame))
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
     narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
@@ -293,10 +301,7 @@ def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalise
 
 
 def against_best(frame: pd.DataFrame, method: str, body: str) -> np.ndarray:
-    """Return one cell's returns over the return of the body's best expert, which demonstrates.
-
-    Empty where there is no expert whose return is above zero.
-    """
+    """Return one cell's returns over the best expert's of the body; empty where none is above 0."""
     best = scores(frame, "ppo", body, "return_mean").max(initial=0.0)
     return scores(frame, method, body, "return_mean") / best if best > 0 else np.empty(0)
 
@@ -322,27 +327,15 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     return one - other[0] if other else one
 
 
-# ---------------------------------------------------------------- a run's files
-
-
 def find(run_id: str) -> RunRecord:
-    """Return the record of a finished run.
-
-    Raises:
-        SilemError: There is none.
-    """
-    record = runs.find(run_id)
-    if record is None:
+    """Return the record of a finished run; SilemError if there is none."""
+    if (record := runs.find(run_id)) is None:
         raise SilemError(f"there is no finished run {run_id!r}")
     return record
 
 
 def load_curve(run_id: str) -> pd.DataFrame:
-    """Load a run's learning curve (columns of `silem.study.record`), NaN where blank or not kept.
-
-    Raises:
-        SilemError: There is no such run, or its curve is not the file that was recorded.
-    """
+    """Load a run's learning curve, its columns `CURVE_COLUMNS`, NaN where blank or not kept."""
     curve = pd.DataFrame(files.read_csv(find(run_id).file(CURVE)))
     if list(curve.columns) != [name for name in CURVE_COLUMNS if name in curve.columns]:
         raise SilemError(f"the curve of {run_id} has columns {', '.join(curve.columns)}")
@@ -350,9 +343,5 @@ def load_curve(run_id: str) -> pd.DataFrame:
 
 
 def load_transform(run_id: str) -> dict[str, np.ndarray]:
-    """Load a run's learned affine transform: ``A`` (F,), the diagonal, and ``b`` (F,).
-
-    Raises:
-        SilemError: There is no such run, it learned no affine transform, or the file is damaged.
-    """
+    """Load a run's learned affine transform: ``A`` (F,), the diagonal, and ``b`` (F,)."""
     return files.read_npz(find(run_id).file(TRANSFORM))

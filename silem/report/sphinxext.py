@@ -47,9 +47,6 @@ def layers(value: Any) -> str:
     return f"{len(value)} × {value[0]}" if equal else as_text(value)
 
 
-# ---------------------------------------------------------------- numbers
-
-
 def paper_number(name: str) -> tuple[str, str]:
     """Return a number of the paper, ``name.1`` for a list's second entry, and its source."""
     key, _, index = name.partition(".")
@@ -67,23 +64,15 @@ def setting(name: str) -> tuple[str, str]:
 def role(read: Callable[[str], tuple[str, str]]) -> Any:
     """Return a role that writes what `read` finds by name, its source shown on hovering."""
 
-    def write(
-        name: str, rawtext: str, text: str, lineno: int, inliner: Any, *_: Any, **__: Any
-    ) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+    def write(name: str, raw: str, text: str, line: int, inliner: Any, *_: Any, **__: Any) -> Any:
         try:
             shown, source = read(text)
         except SilemError as error:
-            return [], [inliner.reporter.error(str(error), line=lineno)]
-        if not source:
-            return [nodes.Text(shown)], []
-        return [nodes.abbreviation(rawtext, shown, explanation=source)], []
+            return [], [inliner.reporter.error(str(error), line=line)]
+        abbreviation = nodes.abbreviation(raw, shown, explanation=source)
+        return [abbreviation if source else nodes.Text(shown)], []
 
     return write
-
-
-# ---------------------------------------------------------------- tables
-
-Row = Sequence[str]
 
 
 class Table(NamedTuple):
@@ -91,19 +80,20 @@ class Table(NamedTuple):
 
     name: str
     caption: str
-    head: Row
-    rows: Sequence[Row]
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 def paper_table(key: str = "") -> Table:
     """Return a table of the paper; its caption names where the paper has it."""
     table, known = paper.table(key), paper.symbols()
+
+    def code(name: str | None) -> str:
+        return f"`{name}`" if name else ""
+
     if table.kind == "common":
         head = ["Hyper-parameter", "Value", "Name here"]
-        rows = [
-            [r["meaning"], as_text(r["value"]), f"`{r['parameter']}`" if r["parameter"] else ""]
-            for r in table.rows
-        ]
+        rows = [[r["meaning"], as_text(r["value"]), code(r["parameter"])] for r in table.rows]
     elif table.kind == "grid":
         head = ["Symbol", "Hyper-parameter", "Values", "Name here"]
         rows = [
@@ -111,16 +101,15 @@ def paper_table(key: str = "") -> Table:
                 known[row["symbol"]].latex,
                 f"**{row['meaning']}**" if row.get("silem_only") else row["meaning"],
                 as_text(row["values"]),
-                f"`{name}`" if (name := known[row["symbol"]].parameter) else "",
+                code(known[row["symbol"]].parameter),
             ]
             for row in table.rows
         ]
     else:
         head = [_heading(table.kind, column) for column in table.columns]
         rows = [[as_text(row[column]) for column in table.columns] for row in table.rows]
-    caption = f"{table.caption} ({table.source}, Table {table.number})"
-    caption += f" {table.note}" if table.note else ""
-    return Table(f"paper-{table.key.replace('.', '-')}", caption, head, rows)
+    caption = f"{table.caption} ({table.source}, Table {table.number}) {table.note or ''}"
+    return Table(f"paper-{table.key.replace('.', '-')}", caption.strip(), head, rows)
 
 
 def _heading(kind: str, column: str) -> str:
@@ -133,7 +122,7 @@ def _heading(kind: str, column: str) -> str:
 
 def settings() -> Table:
     """Return this project's hyper-parameters: name, default and the methods that use each."""
-    learned, rows = {method for method in METHODS if method != "random"}, []
+    learned, rows = set(METHODS) - {"random"}, []
     for field in dataclasses.fields(HyperParameters):
         users = field.metadata["methods"]
         used_by = "all" if set(users) == learned else ", ".join(users)
@@ -146,23 +135,16 @@ def settings() -> Table:
 
 
 def budgets() -> Table:
-    """Return the budgets: how much each spends."""
+    """Return the budgets: how much each spends on a run."""
+    names = "Environments", "Steps per iteration", "Iterations", "Trials", "Evaluation episodes"
     rows = []
     for budget in BUDGETS.values():
         iterations, walking = budget.n_iterations, of_family(budget, "humanoid").n_iterations
-        row = {
-            "Budget": f"`{budget.name}`",
-            "Environments": as_text(budget.n_envs),
-            "Steps per iteration": as_text(budget.steps_per_iteration),
-            "Iterations": as_text(iterations),
-            "Trials": as_text(budget.n_trials),
-            "Evaluation episodes": as_text(budget.n_eval_episodes),
-        }
-        if walking != iterations:
-            row["Iterations"] += f"; humanoids {as_text(walking)}"
-        rows.append(row)
-    caption = "What each budget spends on a run."
-    return Table("budgets", caption, list(rows[0]), [list(row.values()) for row in rows])
+        more = f"; humanoids {as_text(walking)}" if walking != iterations else ""
+        spent = budget.n_envs, budget.steps_per_iteration, iterations, budget.n_trials
+        row = [f"`{budget.name}`", *map(as_text, (*spent, budget.n_eval_episodes))]
+        rows.append([*row[:3], row[3] + more, *row[4:]])
+    return Table("budgets", "What each budget spends on a run.", ["Budget", *names], rows)
 
 
 TABLES: dict[str, Callable[..., Table]] = {

@@ -26,18 +26,18 @@ FAILURE = (0.2, 5.0)
 """A cell in which one training in five fails, as they do: how many, how many deviations lower."""
 
 
-def mean_interval(scores: ArrayLike) -> Interval:
-    """Return Student's 95 % t interval of a cell's mean; NaN with fewer than two trials."""
-    cell = np.asarray(scores, dtype=np.float64)
-    return _interval(float(cell.mean()), *_error(cell)) if len(cell) > 1 else NO_INTERVAL
+def interval(*cells: ArrayLike) -> Interval:
+    """Return the 95 % t interval of a cell's mean, Student's, or of two cells' difference, Welch's.
 
-
-def difference_interval(first: ArrayLike, second: ArrayLike) -> Interval:
-    """Return Welch's 95 % t interval of ``mean(first) - mean(second)``; NaN as above."""
-    one, two = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
-    if min(len(one), len(two)) < 2:
+    It is NaN where a cell, (N,), has fewer than two trials.
+    """
+    arrays = [np.asarray(cell, dtype=np.float64) for cell in cells]
+    if min(map(len, arrays)) < 2:
         return NO_INTERVAL
-    return _interval(float(one.mean() - two.mean()), *_error(one, two))
+    center = float(arrays[0].mean() - sum(cell.mean() for cell in arrays[1:]))
+    error, freedom = _error(*arrays)
+    half = float(stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
+    return center - half, center + half
 
 
 def _error(*cells: np.ndarray, n_trials: int | None = None) -> tuple[float, float]:
@@ -53,11 +53,6 @@ def _error(*cells: np.ndarray, n_trials: int | None = None) -> tuple[float, floa
     return variance**0.5, freedom
 
 
-def _interval(center: float, error: float, freedom: float) -> Interval:
-    half = float(stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
-    return center - half, center + half
-
-
 def wins(first: ArrayLike, second: ArrayLike) -> float:
     """Return the share of pairs in which `first` beats `second`, half for a tie; NaN for none."""
     one, two = np.asarray(first), np.asarray(second)
@@ -67,20 +62,13 @@ def wins(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def detectable(*cells: ArrayLike, n_trials: int) -> float:
-    """Return the distance from a bound that `n_trials` of the spread seen would have found.
+    """Return the distance from a bound that `n_trials` a cell of the spread seen would have found.
 
     At that true distance the interval of a mean, or of a difference of two, lies beyond the bound
-    in `POWER` of all studies (noncentral t).
-
-    Args:
-        *cells: Scores of one or two cells, (N,) each.
-        n_trials: Trials of each cell in the study that is asked about.
-
-    Returns:
-        The distance; NaN where a cell has fewer than two trials, and so no spread.
+    in `POWER` of all studies (noncentral t). It is NaN where a cell has fewer than two trials.
     """
     arrays = [np.asarray(cell, dtype=np.float64) for cell in cells]
-    if min(len(cell) for cell in arrays) < 2:
+    if min(map(len, arrays)) < 2:
         return float("nan")
     error, freedom = _error(*arrays, n_trials=n_trials)
     critical = stats.t.ppf((1 + LEVEL) / 2, freedom)
@@ -95,11 +83,8 @@ def detectable(*cells: ArrayLike, n_trials: int) -> float:
 def coverage(n_trials: int, kind: str = "student", *, failures: bool = False) -> float:
     """Simulate in how many studies a 95 % interval holds the true mean; the same on every call.
 
-    Args:
-        n_trials: Trials of the cell.
-        kind: ``"student"`` (`mean_interval`) or ``"bootstrap"``, the percentiles of the resampled
-            mean that are often drawn in its place.
-        failures: Of `FAILURE`'s shares and deviations instead of normal scores.
+    `kind` is ``"student"`` (`interval`) or ``"bootstrap"``, the percentiles of the resampled mean
+    that are often drawn in its place; with `failures` scores are not normal but fail by `FAILURE`.
     """
     generator = seeding.generator(0, "coverage", n_trials, kind, failures)
     scores = generator.standard_normal((N_STUDIES, n_trials))

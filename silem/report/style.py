@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -39,6 +39,12 @@ GHOST, WITHOUT_GHOSTS = "paper", "without-paper"
 
 _HIDING = f"<style>svg:target [id^='{GHOST}'] {{ visibility: hidden }}</style>"
 WARNING = "#B3261E"
+DASHED: Any = (0, (4, 3))
+"""The line of a level that something is held against."""
+
+DASH = "–"
+"""What stands where there is no number."""
+
 _CHARACTERS_PER_IN = 16.0  # of the footer's small print
 
 _SETTINGS: Any = {
@@ -96,14 +102,16 @@ _WITHOUT_EXPERT = {"silem-minus": "SILEM⁻", "ppo": "PPO, true reward"}
 _LIGHT, _DARK = np.array([0.80, 0.74, 0.90]), np.array([0.25, 0.07, 0.42])
 
 
-def method(name: str, original: str = "HC0") -> MethodStyle:
-    """Return a method's style, its label naming the body whose expert demonstrates to the others.
+def method(name: str, original: str = "HC0", *, short: bool = False) -> MethodStyle:
+    """Return a method's style; an unknown method is a SilemError.
 
-    That is "" where a human does. An unknown method is a SilemError.
+    Its label names the body whose expert demonstrates to the others, "" where a human does; a
+    short one does not.
     """
     chosen = METHODS[choose("method", name, METHODS)]
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
-    return chosen._replace(label=label.format(original=original))
+    label = label.format(original=original)
+    return chosen._replace(label=label.partition(" (")[0] if short else label)
 
 
 def body_color(index: int, count: int) -> str:
@@ -113,7 +121,7 @@ def body_color(index: int, count: int) -> str:
 
 @contextmanager
 def applied() -> Iterator[None]:
-    """Draw the block in this project's look; what was set before comes back after it."""
+    """Draw a block, or as ``@applied()`` a function, in this look; the old one comes back."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_SETTINGS)
@@ -131,33 +139,38 @@ def handle(color: str, label: str, **look: Any) -> Line2D:
     return Line2D([], [], color=color, label=label, **look)
 
 
-def picture(axes: Axes, pixels: np.ndarray) -> None:
-    """Show a picture (H, W, 3) in a frame without ticks."""
-    axes.imshow(pixels, interpolation="none")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set(visible=True, color=FAINT)
+def marks(looks: Iterable[MethodStyle], ms: float = 8) -> list[Line2D]:
+    """Return a legend's entries for methods, each with its marker."""
+    look: dict[str, Any] = {"ls": "none", "mec": "white", "ms": ms}
+    return [handle(m.color, m.label, marker=m.marker, **look) for m in looks]
 
 
-def empty_slot(axes: Axes, x: float, text: str = "no run", color: str = MUTED) -> None:
+def say(axes: Axes, word: str) -> None:
+    """Write a word in the middle of an empty panel."""
+    middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+    axes.text(0.5, 0.5, word, color=MUTED, backgroundcolor="white", **middle)
+
+
+def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
     """Mark a cell without a run: a dashed outline of the slot with a word in it."""
-    transform = axes.get_xaxis_transform()
-    axes.plot([x, x], [0.18, 0.94], transform=transform, color=FAINT, lw=1, ls=(0, (2, 3)))
-    axes.text(
-        x, 0.56, text, transform=transform, rotation=90, ha="center", va="center",
-        fontsize=8, color=color, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
-    )  # fmt: skip
+    place: dict[str, Any] = {"transform": axes.get_xaxis_transform()}
+    axes.plot([x, x], [0.18, 0.94], color=FAINT, lw=1, ls=(0, (2, 3)), **place)
+    place |= {"rotation": 90, "ha": "center", "va": "center", "fontsize": 8, "color": MUTED}
+    axes.text(x, 0.56, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2}, **place)
 
 
 def footer(figure: Figure, text: str, *, warn: bool = False) -> None:
     """Write what a figure shows (budget, runs) under it, in small print; in red to warn."""
-    lines = textwrap.wrap(text, int(_CHARACTERS_PER_IN * figure.get_figwidth()))
+    lines = textwrap.fill(text, int(_CHARACTERS_PER_IN * figure.get_figwidth()))
     color = WARNING if warn else MUTED
-    figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8, color=color, linespacing=1.4)
+    figure.supxlabel(lines, x=0.01, ha="left", fontsize=8, color=color, linespacing=1.4)
 
 
-def number(value: float) -> str:
-    """Write a whole number with thousands separated and a true minus."""
-    return f"{value:,.0f}".replace("-", "−")
+def number(value: float | None, digits: int = 0) -> str:
+    """Write a number with thousands separated and a true minus; a dash where there is none."""
+    if value is None or np.isnan(value):
+        return DASH
+    return f"{value:,.{digits}f}".replace("-", "−")
 
 
 def trials(count: int) -> str:

@@ -22,9 +22,9 @@ from sphinx.util.docutils import SphinxDirective
 
 from silem import bodies
 from silem.motion.demonstrations import MANIFEST
-from silem.report import claims, results, scorecard, style
+from silem.report import claims, results, style
 from silem.report.sphinxext import TABLES, Table, TableDirective, role
-from silem.report.tables import DASH, number
+from silem.report.style import DASH, number
 from silem.report.web import records
 from silem.study.config import RunConfig
 from silem.study.record import RECORD, git
@@ -179,7 +179,7 @@ def judged() -> pd.DataFrame:
     frames = {study: results.load_records(study, "book") for study in JUDGED}
     return pd.concat(
         [
-            scorecard.evaluate(frame).assign(study=study, planned=results.n_trials(frame))
+            claims.evaluate(frame).assign(study=study, planned=results.n_trials(frame))
             for study, frame in frames.items()
         ],
         ignore_index=True,

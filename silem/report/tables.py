@@ -8,23 +8,18 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from pandas.io.formats.style import Styler
 
 from silem import paper
 from silem.report import results, statistics, style
+from silem.report.style import number
 from silem.util import files, paths
-
-DASH = "–"
 
 
 def styled(table: pd.DataFrame, caption: str = "") -> Styler:
-    """Return a table of texts in this project's look; the same table gives the same HTML.
-
-    Columns that are named by two words get two rows of headings.
-    """
+    """Return texts in this project's look; columns named by two words get two rows of headings."""
     if isinstance(table.columns[0], tuple):
         table = table.set_axis(pd.MultiIndex.from_tuples(table.columns), axis="columns")
     # The id that ties a table to its own styles comes from its content, so that it never changes
@@ -37,13 +32,6 @@ def styled(table: pd.DataFrame, caption: str = "") -> Styler:
     others = [name for name in table.columns if name not in numeric]
     look = look.set_properties(subset=others, **{"text-align": "left"})
     return look.set_caption(caption) if caption else look
-
-
-def number(value: float | None, digits: int = 0) -> str:
-    """Write a number with a true minus; a dash where there is none."""
-    if value is None or np.isnan(value):
-        return DASH
-    return f"{value:,.{digits}f}".replace("-", "−")
 
 
 def small(text: str) -> str:
@@ -65,10 +53,7 @@ def _mean(values: ArrayLike, digits: int = 0, unit: str = "", *, spread: bool = 
 
 
 def table_1(frame: pd.DataFrame) -> Styler:
-    """Return Table 1, ours beside the paper's: f an MLP or an affine transform, on HC0.
-
-    Ours are means over trials, with the lowest and highest trial behind them.
-    """
+    """Return Table 1, ours beside the paper's: f an MLP or an affine transform, on HC0."""
     rows = []
     for method, printed in zip(("silem-mlp", "silem"), paper.table("tab1").rows, strict=True):
         runs = results.cell(frame, method, "HC0")
@@ -83,10 +68,7 @@ def table_1(frame: pd.DataFrame) -> Styler:
 
 
 def random_policies() -> Styler:
-    """Return what each reading of "a random policy" returns on HC0, beside the paper's number.
-
-    The returns were measured by ``python -m benchmarks.random_policy``.
-    """
+    """Return what each reading of a random policy returns (`benchmarks.random_policy`)."""
     rows = {"the paper's": number(paper.number("random_return"))}
     for entry in files.read_json(paths.REPO / "data" / "random_policy.json"):
         returns = pd.Series(entry["returns"])
@@ -114,11 +96,11 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     The second score is against the body's best expert, who demonstrates, not against their mean.
     Runs of another number of iterations than planned stand in rows of their own.
     """
-    rows = []
+    rows, original = [], results.original_body(frame)
     upright = results.upright_label(frame).removeprefix("share of ")
     for body in results.body_names(frame):
         for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
-            label = style.method(method, results.original_body(frame)).label
+            label = style.method(method, original).label
             shown = [(label, results.cell(frame, method, body))]
             for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
                 planned = runs["planned_iterations"].iloc[0]

@@ -32,8 +32,8 @@ from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
-from silem.report.features import feature_names
 from silem.report.film import encode_png
+from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
 from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import METHODS
@@ -197,7 +197,7 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
     if figure == "learning_curves":
         parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
         return pd.concat(parts, ignore_index=True)
-    if figure in ("transforms", "affine_transforms"):
+    if figure in ("by_feature", "figure_4"):
         parts = []
         for run, body in zip(frame["run_id"], frame["body"], strict=True):
             learned = results.load_transform(run)

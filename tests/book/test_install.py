@@ -48,10 +48,11 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     built = run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder, cwd=REPO)
     assert built.returncode == 0, built.stderr
     (wheel,) = folder.glob("*.whl")
-    venv.create(folder / "env", with_pip=True)
+    venv.create(folder / "env")
     binaries = folder / "env" / "bin"
+    pip = sys.executable, "-m", "pip", "--python", binaries / "python"
     options = [] if FROM_INDEX else ["--no-deps", "--no-index"]
-    done = run(binaries / "pip", "install", "--quiet", *options, wheel, cwd=folder)
+    done = run(*pip, "install", "--quiet", *options, wheel, cwd=folder)
     assert done.returncode == 0, done.stderr
     if not FROM_INDEX:
         (site,) = (folder / "env" / "lib").glob("python*/site-packages")

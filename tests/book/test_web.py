@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from silem.report import pdf, provenance, results, style, web
-from silem.report.figures import sources, trials
+from silem.report import pdf, results, scores, style, web
 from silem.study.record import CURVE
 
 pytestmark = pytest.mark.xdist_group("book")
@@ -109,9 +108,9 @@ def experts() -> pd.DataFrame:
 
 def figure_page(site: Path, frame: pd.DataFrame) -> str:
     (site / "_images").mkdir(exist_ok=True)
-    (site / "_images" / "experts.svg").write_text(style.svg(trials.experts(frame)))
+    (site / "_images" / "experts.svg").write_text(style.svg(scores.experts(frame)))
     web.finish(site)
-    trace = provenance.trace(sources.runs_of("experts", frame)).data
+    trace = results.trace(scores.runs_of("experts", frame)).data
     figure = "<figure><img width=800 src=_images/experts.svg></figure>"
     return f"{HEAD}<div class=cell>{figure}</div><div class=cell>{trace}</div>"
 
@@ -120,7 +119,7 @@ def test_a_figure_comes_with_data_picture_and_commands(
     site: Path, opened: Open, experts: pd.DataFrame
 ) -> None:
     page = opened(figure_page(site, experts))
-    shown = sources.runs_of("experts", experts)
+    shown = scores.runs_of("experts", experts)
     with page.expect_download() as download:
         page.get_by_role("link", name="data (CSV)").click()
     assert download.value.suggested_filename == "experts.csv"
@@ -158,9 +157,9 @@ def test_the_papers_numbers_can_be_hidden(site: Path, opened: Open, experts: pd.
 
 def test_each_figures_data_is_what_it_draws() -> None:
     frame = results.load_records("humanoids", "book")
-    curves = web.figure_data(sources.runs_of("learning_curves", frame))
+    curves = web.figure_data(scores.runs_of("learning_curves", frame))
     assert {"iteration", "return_mean", "run_id"} <= set(curves)
-    learned = web.figure_data(sources.runs_of("affine_transforms", frame))
+    learned = web.figure_data(scores.runs_of("figure_4", frame))
     of = learned[learned["run_id"] == RUN]
     np.testing.assert_allclose(of["A"], results.load_transform(RUN)["A"])
     assert of["feature"].iloc[0] == "left hand x"

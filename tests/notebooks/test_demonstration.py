@@ -12,10 +12,9 @@ from silem.motion.demonstrator import CLIPS
 NAME = "09_demonstration"
 
 
-@pytest.mark.usefixtures("only_demonstrations")
-def test_without_offscreen_rendering(papermill: Execute, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MUJOCO_GL", "disable")
-    page = papermill(NAME, clip="08_07")
+@pytest.mark.usefixtures("only_demonstrations", "no_offscreen_rendering")
+def test_without_offscreen_rendering(execute: Execute) -> None:
+    page = execute(NAME, clip="08_07")
     note = words(output(page, "film"))
     assert "No video" in note and "MUJOCO_GL" in note
     assert "<video" not in output(page, "film")

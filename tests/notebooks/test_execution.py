@@ -18,13 +18,12 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 from conftest import MISSING, Execute, glue_roles, output, said, words
-from papermill import PapermillExecutionError
 from PIL import Image
 
 from silem import bodies, paper
 from silem.bodies import describe
-from silem.report import claims, results, scorecard, style
-from silem.report.features import feature_names
+from silem.report import claims, results, style
+from silem.report.transforms import feature_names
 from silem.study import runs
 from silem.study.config import RunConfig
 
@@ -112,6 +111,9 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     for cell_id in ("curve", "experts", "curves"):
         assert output(page, cell_id).startswith("<svg")
     assert "18 runs" in words(output(page, "experts-runs"))
+    assert re.search(r"HC1 2,000 1,2\d\d\.\d\d", words(output(page, "longer")))
+    (unlike,) = [cell for cell in page.cells if cell.id == "unlike-ppo1"]
+    assert str(unlike.outputs).count("not run yet; otherwise") == 2
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
     demonstrator = find_demonstrator(frame)
@@ -169,7 +171,7 @@ def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
 
 
 def found_on(body: str, frame: pd.DataFrame) -> float:
-    rows = scorecard.evaluate(frame).set_index("text")
+    rows = claims.evaluate(frame).set_index("text")
     return rows.loc[f"SILEM beats SILEM⁻ on {body}", "findings"][0].detectable
 
 
@@ -218,7 +220,7 @@ def test_scorecard(execute: Execute) -> None:
     page = execute("07_scorecard", budget="book")
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
-    verdicts = scorecard.counts(results.load_records("halfcheetah", "book"))
+    verdicts = claims.counts(results.load_records("halfcheetah", "book"))
     told = [int(spoken[key]) for key in ("n_hold", "n_fail", "n_undecided")]
     assert told == [verdicts[name] for name in (claims.HOLDS, claims.FAILS, claims.UNDECIDED)]
     assert sum(told) == int(spoken["n_claims"]) == len(claims.of("halfcheetah"))
@@ -264,11 +266,3 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
         assert "No finished run on HC2 yet: SILEM" in text
     if name == "07_scorecard":
         assert said(page)["n_undecided"] == str(len(claims.of("halfcheetah")))
-
-
-def test_papermill_stops_at_an_unknown_parameter(papermill: Execute) -> None:
-    with pytest.raises(PapermillExecutionError) as caught:
-        papermill("07_scorecard", budgt="book", budget=3)
-    assert caught.value.ename == "SilemError"
-    assert "unknown parameter 'budgt'" in caught.value.evalue
-    assert "budget = 3 is not one of tiny, quick, book, paper" in caught.value.evalue

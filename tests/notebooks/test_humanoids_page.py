@@ -1,11 +1,9 @@
-"""The page on the humanoids, with its films and on a machine that cannot draw offscreen."""
+"""The page on the humanoids, on a machine that cannot draw offscreen."""
 
 from __future__ import annotations
 
 import pytest
 from conftest import Execute, glue_roles, output, said, words
-
-from silem.report.film import why_no_pictures
 
 NAME = "10_humanoids"
 
@@ -32,12 +30,3 @@ def test_without_offscreen_rendering(execute: Execute) -> None:
     assert "Atlas 0.99 1.08 +0.09 0.91 0.98 +0.07" in distances
     assert "r_leg_akx −0.10 0.10 45" in words(output(page, "joints"))
     assert "skeletal features 23 action 28" in words(output(page, "gymnasium"))
-
-
-@pytest.mark.usefixtures("only_demonstrations")
-@pytest.mark.skipif(bool(why_no_pictures("Humanoid")), reason="nothing can be drawn offscreen here")
-def test_with_pictures(execute: Execute) -> None:
-    page = execute(NAME, n_episodes=1, seed=3)
-    for cell_id in ("limp", "random"):
-        assert "<video" in output(page, cell_id)
-    assert output(page, "fig-3a").count("<image ") == 3

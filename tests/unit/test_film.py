@@ -11,6 +11,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 import synthetic_records as synthetic
+import torch
+from IPython.core.formatters import DisplayFormatter
 from PIL import Image
 
 import silem
@@ -174,6 +176,19 @@ def test_rollout_samples_actions_and_restarts_the_policy() -> None:
     assert once[1:] == ["sampled"] * 4
 
 
+def test_films_of_policies_that_sample_from_torch_depend_on_the_seed_alone() -> None:
+    class Sampled:
+        def predict(self, observation: np.ndarray, *, deterministic: bool = False) -> tuple:
+            return torch.randn(len(observation), 6).clamp(-1, 1).numpy(), None
+
+    policy, clips = Sampled(), []
+    for state in (1, 2):
+        torch.manual_seed(state)
+        clips.append(rollout("HC0", 0.2, policy=policy, seed=5))
+    assert np.array_equal(clips[0].frames, clips[1].frames)
+    assert not np.array_equal(clips[0].frames, rollout("HC0", 0.2, policy=policy).frames)
+
+
 def test_rollout_ends_with_the_episode_and_the_label_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,16 +278,21 @@ def test_without_offscreen_rendering_the_page_says_so(monkeypatch: pytest.Monkey
         raise SilemError("no offscreen rendering")
 
     shown: list[str] = []
-    monkeypatch.setattr(notebook, "_display_html", shown.append)
+    monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
     monkeypatch.setattr(film, "Camera", refuse)
     assert film.why_no_pictures("HC0") == "no offscreen rendering"
     notebook.film(lambda: pytest.fail("filmed"), "Atlas & friends")
     assert shown == ["<p><em>No video (Atlas &amp; friends): no offscreen rendering</em></p>"]
 
 
+def test_a_clip_at_the_end_of_a_cell_prints_nothing() -> None:
+    made = DisplayFormatter().format(gradient_clip())
+    assert made == ({}, {})
+
+
 def test_a_film_is_played_with_controls_poster_and_words(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
-    monkeypatch.setattr(notebook, "_display_html", shown.append)
+    monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
     monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
     notebook.film(lambda: Clip(np.zeros((2, 16, 16, 3), np.uint8), 40.0), "a walk")
     for part in ("<video controls", 'aria-label="a walk"', 'poster="data:image/png', "data:video"):

@@ -8,7 +8,7 @@ import pytest
 from silem.envs import make_vec
 from silem.envs.bullet import task
 from silem.motion.demonstrations import Demonstrations
-from silem.report.features import feature_names
+from silem.report.transforms import feature_names
 from silem.study import demonstrate
 from silem.util.errors import SilemError
 

@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic_records as synthetic
-from drawn import assert_readable, texts
+from drawn import assert_readable, lines_at, texts
 
+from silem import bodies
+from silem.bodies.half_cheetah import nose_touch_pitch_rad
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.report import results
-from silem.report.features import feature_names
+from silem.report import results, style
 from silem.report.pages import gaits
+from silem.report.transforms import feature_names
 from silem.study import demonstrate as recording
 from silem.study import runs
 from silem.study.config import RunConfig
@@ -45,13 +47,13 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def imitators(score: dict[str, dict[str, float]], bodies: tuple[str, ...] = ("HC1",)) -> None:
+def imitators(score: dict[str, dict[str, float]], learners: tuple[str, ...] = ("HC1",)) -> None:
     """Write the study's runs: score of a method by the trial of the demonstrator."""
-    for body in bodies:
+    for body in learners:
         synthetic.write_record(RunConfig.create(body, "ppo", budget="book"), 1000.0)
     for config in study_configs("demonstrators", "book"):
         value = score.get(config.method, {}).get(config.demonstrations)
-        if value is not None and config.body in bodies:
+        if value is not None and config.body in learners:
             synthetic.write_record(config, 1000 * value)
 
 
@@ -101,6 +103,18 @@ def test_published_episodes_of_another_run_are_not_taken_for_this_ones(data: Pat
     assert found is not None
     assert found.demonstrations.expert_run_id == found.record.run_id
     assert len(found.demonstrations.features[0]) == 1001  # recorded here
+
+
+def test_what_is_unlike_ppo1_is_told_from_its_runs_once_they_are_made(data: Path) -> None:
+    records = results.load_records("halfcheetah", "book")
+    clipped, constant = gaits.unlike_ppo1(records, "book").splitlines()
+    assert "not clipped**: not run yet; otherwise 2,0" in clipped and "(5 trials)" in clipped
+    assert "falls with the learning rate**: not run yet" in constant
+    (config,) = [c for c in study_configs("fidelity", "book") if c.hyper.anneal_clip]
+    made = synthetic.write_record(config, 2345.0)
+    clipped, constant = gaits.unlike_ppo1(records, "book").splitlines()
+    assert f"rate**: {made.evaluation['return_mean']:,.0f} at 2." in constant
+    assert "not run yet" in clipped
 
 
 def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
@@ -193,6 +207,31 @@ def test_a_part_of_the_runs_is_shown_as_a_part(data: Path) -> None:
     marks = {line.get_marker(): line.get_xydata() for line in score.lines if len(line.get_xdata())}
     assert marks["o"][0] == pytest.approx([-0.14, records.iloc[0]["normalised"]])
     assert_readable(figure)
+
+
+def test_a_line_stands_where_the_nose_touches_the_floor(data: Path) -> None:
+    records, shown = results.load_records("demonstrators", "book"), gaits.load("HC0", "book", 1)
+    pitches = sorted(PITCHES.values())
+    for axes, body in zip(gaits.imitated(records, shown).axes[:2], ("HC1", "HC2"), strict=True):
+        (line,) = lines_at(axes, style.WARNING)
+        pitch, stretched = nose_touch_pitch_rad(bodies.get(body))
+        # HC0_s0 to HC0_s4 pitch by 0.0 to 0.4, a tenth from slot to slot
+        assert line.get_xdata()[0] == pytest.approx(np.interp(pitch, pitches, range(5)))
+        assert line.get_xdata()[0] == pytest.approx(10 * pitch, abs=0.01)
+        assert f"{pitch:.2f} rad" in axes.get_title(loc="left")
+        assert pitch < stretched
+
+
+def test_the_pitch_of_a_nose_on_the_floor_follows_from_the_geometry() -> None:
+    at_rest, stretched = (
+        [nose_touch_pitch_rad(bodies.get(name))[index] for name in ("HC0", "HC1", "HC2")]
+        for index in (0, 1)
+    )
+    # A leg of 0.62 m that hangs on the end of 2 m and 3 m of torso: 0.28 and 0.18 rad, about.
+    np.testing.assert_allclose(at_rest[1:], [0.28, 0.18], atol=0.02)
+    assert at_rest == sorted(at_rest, reverse=True) and stretched == sorted(stretched, reverse=True)
+    # No pose that has the foot down pitches further: posed so, the nose is at the foot's height.
+    assert 0.79 / 2.0 == pytest.approx(np.sin(stretched[1]), abs=0.04)
 
 
 def test_without_any_run_the_page_says_so(data: Path) -> None:

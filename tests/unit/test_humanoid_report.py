@@ -14,10 +14,9 @@ import synthetic_records as synthetic
 from drawn import assert_readable, footer, lines_at, texts
 
 from silem.motion.features import FEATURES
-from silem.report import claims, results, scorecard, style, tables
-from silem.report.features import feature_groups, feature_names
-from silem.report.figures import affine, learning, trials
-from silem.report.pages.walking import humanoid_scores
+from silem.report import claims, curves, results, scores, style, tables, transforms
+from silem.report.scores import humanoid_scores
+from silem.report.transforms import feature_groups, feature_names
 from silem.study import studies as plans
 from silem.study.config import RunConfig
 from silem.study.record import RunRecord
@@ -28,11 +27,11 @@ HALF, MOST = PLANNED // 2, PLANNED * 3 // 4
 CASES = ("whole", "partial", "single", "empty")
 FIGURES = {
     "humanoid_scores": humanoid_scores,
-    "A": partial(affine.affine_transforms, which="scale"),
-    "b": partial(affine.affine_transforms, which="offset"),
-    "experts": trials.experts,
-    "learning_curves": learning.learning_curves,
-    "transforms": affine.transforms,
+    "A": partial(transforms.figure_4, which="scale"),
+    "b": partial(transforms.figure_4, which="offset"),
+    "experts": scores.experts,
+    "learning_curves": curves.learning_curves,
+    "transforms": transforms.by_feature,
 }
 
 
@@ -127,7 +126,7 @@ def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
 
 @synthetic.study("partial")
 def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
-    figure = learning.learning_curves(frame)
+    figure = curves.learning_curves(frame)
     by_title = {axes.get_title(loc="left"): axes for axes in figure.axes[:3]}
     (silem,) = lines_at(by_title["HumanoidR"], style.METHODS["silem"].color)
     assert silem.get_linestyle() == "--"
@@ -138,7 +137,7 @@ def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
 
 
 def test_affine_transforms_mean_and_policies_by_feature(frame: pd.DataFrame) -> None:
-    axes = affine.affine_transforms(frame, "scale").axes[0]
+    axes = transforms.figure_4(frame, "scale").axes[0]
     runs = results.cell(frame, "silem", "HumanoidR")["run_id"]
     entries = np.stack([results.load_transform(run)["A"] for run in runs])
     drawn = lines_at(axes, style.body_color(1, 2))
@@ -157,7 +156,7 @@ def test_affine_transforms_shows_the_best_ten(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("silem.paper.number", lambda name: 1)
-    axes = affine.affine_transforms(frame, "offset").axes[0]
+    axes = transforms.figure_4(frame, "offset").axes[0]
     cell = results.cell(frame, "silem", "Humanoid")
     best = cell.loc[cell["return_mean"].idxmax(), "run_id"]
     thin = [line for line in lines_at(axes, style.MUTED) if line.get_linewidth() == 0.8]
@@ -168,7 +167,7 @@ def test_affine_transforms_shows_the_best_ten(
 
 @synthetic.study("partial")
 def test_a_run_of_another_length_is_dashed_in_the_affine_transforms(frame: pd.DataFrame) -> None:
-    figure = affine.affine_transforms(frame, "scale")
+    figure = transforms.figure_4(frame, "scale")
     drawn = lines_at(figure.axes[0], style.body_color(1, 2))
     assert drawn and {line.get_linestyle() for line in drawn} == {"--"}
     (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
@@ -179,9 +178,9 @@ def test_figures_of_other_bodies_are_refused(
     frame: pd.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SilemError, match="affine_or_mlp shows HC0; the runs of study 'humanoids'"):
-        trials.affine_or_mlp(frame)
+        scores.affine_or_mlp(frame)
     with pytest.raises(SilemError, match="allowed: scale, offset"):
-        affine.affine_transforms(frame, "a")
+        transforms.figure_4(frame, "a")
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     with pytest.raises(SilemError, match="humanoid_scores shows Atlas"):
         humanoid_scores(results.load_records("halfcheetah", "book"))
@@ -196,13 +195,13 @@ def test_transforms_of_another_length_are_refused(
     synthetic.write_record(planned("silem", "Humanoid"))
     loaded = results.load_records("humanoids", "book")
     with pytest.raises(SilemError, match="23 features"):
-        affine.affine_transforms(loaded, "scale")
+        transforms.figure_4(loaded, "scale")
     with pytest.raises(SilemError, match="23 features"):
-        affine.transforms(loaded)
+        transforms.by_feature(loaded)
 
 
 def test_no_expert_is_named_where_a_human_demonstrates(frame: pd.DataFrame) -> None:
-    words = texts(learning.learning_curves(frame))
+    words = texts(curves.learning_curves(frame))
     assert {"SILEM⁻", "TPIL", "Peng20", "PPO, true reward"} <= set(words)
     assert not [word for word in words if "expert" in word]
 
@@ -237,7 +236,7 @@ def test_tables_tell_runs_of_other_lengths_apart(frame: pd.DataFrame) -> None:
 
 
 def verdicts(frame: pd.DataFrame) -> pd.Series:
-    return scorecard.evaluate(frame).set_index("text")["verdict"]
+    return claims.evaluate(frame).set_index("text")["verdict"]
 
 
 ARMS = (
@@ -253,12 +252,12 @@ def test_scorecard_judges_figures_3_and_4(frame: pd.DataFrame) -> None:
     assert found["SILEM far outperforms TPIL on HumanoidR"] == claims.HOLDS
     assert found["SILEM⁻ finds no stable gait on Humanoid"] == claims.HOLDS
     assert found["SILEM matches the human's speed on Atlas"] == claims.FAILS
-    rows = scorecard.evaluate(frame).set_index("text")
+    rows = claims.evaluate(frame).set_index("text")
     row = rows.loc["TPIL does much better on Atlas than on Humanoid"]
     (finding,) = row["findings"]
     assert finding.trials == {"TPIL Atlas": 3, "TPIL Humanoid": 3}
     assert (finding.wins, row["verdict"]) == (1.0, claims.HOLDS)
-    assert "100 % of pairs" in scorecard.table(frame).to_html()
+    assert "100 % of pairs" in claims.table(frame).to_html()
 
 
 def test_arm_claims_fail_where_the_arms_are_the_other_way_round(
@@ -298,7 +297,7 @@ def test_runs_of_other_lengths_decide_nothing(
         write_other(method, body, HALF, 900.0 if method == "silem" else 100.0, seed)
     loaded = results.load_records("humanoids", "book")
     assert len(loaded) == 18
-    rows = scorecard.evaluate(loaded)
+    rows = claims.evaluate(loaded)
     assert set(rows["verdict"]) == {claims.UNDECIDED}
     assert all(np.isnan(finding.ours) for findings in rows["findings"] for finding in findings)
 

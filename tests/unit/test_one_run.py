@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from silem.bodies import BulletBody
 from silem.motion.demonstrations import Demonstrations
-from silem.report import one_run
-from silem.report.features import feature_names
+from silem.report import curves, transforms
+from silem.report.pages import gaits
+from silem.report.transforms import feature_names
 from silem.study.config import RunConfig
 from silem.util.errors import SilemError
 
@@ -28,8 +29,8 @@ def labels(figure: Figure) -> list[list[str]]:
 
 def test_every_feature_is_drawn_once_whatever_the_body() -> None:
     for body, n_joints, n_feet in (("HC0", 6, 6), ("Ant0", 8, 4)):
-        torso, angles, velocities, _ = labels(one_run.trajectory(demonstrations(body)))
-        contacts = one_run.trajectory(demonstrations(body)).axes[3].get_yticklabels()
+        torso, angles, velocities, _ = labels(gaits.trajectory(demonstrations(body)))
+        contacts = gaits.trajectory(demonstrations(body)).axes[3].get_yticklabels()
         assert "forward velocity" in torso
         assert angles == velocities
         assert (len(torso), len(angles), len(contacts)) == (8, n_joints, n_feet)
@@ -39,7 +40,7 @@ def test_contacts_become_one_bar_per_touch() -> None:
     shown = demonstrations("HC0")
     foot = feature_names("HC0").index("back foot contact")
     shown.features[0][[3, 4, 5, 9], foot] = 1
-    axes = one_run.trajectory(shown).axes[3]
+    axes = gaits.trajectory(shown).axes[3]
     row = [tick.get_text() for tick in axes.get_yticklabels()].index("back foot")
     boxes = [path.get_extents() for path in axes.collections[row].get_paths()]
     spans = [
@@ -54,16 +55,8 @@ def test_contacts_become_one_bar_per_touch() -> None:
 
 
 def test_trajectory_shows_the_seconds_asked_for() -> None:
-    figure = one_run.trajectory(demonstrations("HC0"), duration_s=10 * BulletBody.control_step_s)
+    figure = gaits.trajectory(demonstrations("HC0"), duration_s=10 * BulletBody.control_step_s)
     assert len(figure.axes[0].lines[0].get_xdata()) == 10
-
-
-def test_trajectory_refuses_what_is_not_there() -> None:
-    with pytest.raises(SilemError, match="trajectory 1 of 1"):
-        one_run.trajectory(demonstrations("HC0"), index=1)
-    odd = Demonstrations((np.zeros((5, 7), np.float32),), (0.0,), "HC0", "")
-    with pytest.raises(SilemError, match="7 features, HC0 has 26"):
-        one_run.trajectory(odd)
 
 
 @pytest.fixture
@@ -73,17 +66,17 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_curve_shows_what_the_run_knows(record) -> None:
-    expert = one_run.curve(record(RunConfig.create("HC0", "ppo")))
+    expert = curves.of_run(record(RunConfig.create("HC0", "ppo")))
     assert [axes.get_title(loc="left") for axes in expert.axes] == [
         "return of an episode", "forward speed (m/s)", "policy's standard deviation",
     ]  # fmt: skip
-    imitator = one_run.curve(record(RunConfig.create("HC0", "silem")))
+    imitator = curves.of_run(record(RunConfig.create("HC0", "silem")))
     titles = [axes.get_title(loc="left") for axes in imitator.axes]
     assert "discriminator reward of an episode" in titles
 
 
 def test_transform_is_drawn_feature_by_feature(record) -> None:
-    figure = one_run.transform(record(RunConfig.create("HC2", "silem")))
+    figure = transforms.of_run(record(RunConfig.create("HC2", "silem")))
     left, right = figure.axes
     assert [tick.get_text() for tick in left.get_yticklabels()] == feature_names("HC2")
     marks = [axes.lines[-1].get_xdata() for axes in (left, right)]
@@ -93,18 +86,18 @@ def test_transform_is_drawn_feature_by_feature(record) -> None:
 
 def test_transform_of_a_run_without_one_is_an_error(record) -> None:
     with pytest.raises(SilemError, match=r"transform\.npz"):
-        one_run.transform(record(RunConfig.create("HC0", "silem-minus")))
+        transforms.of_run(record(RunConfig.create("HC0", "silem-minus")))
 
 
 def test_one_run_of_a_humanoid(record) -> None:
     run = record(RunConfig.create("HumanoidR", "silem"))
-    titles = [axes.get_title(loc="left") for axes in one_run.curve(run).axes]
+    titles = [axes.get_title(loc="left") for axes in curves.of_run(run).axes]
     assert titles[:2] == ["return of an episode", "steps before a fall"]
-    left, _ = one_run.transform(run).axes
+    left, _ = transforms.of_run(run).axes
     assert [tick.get_text() for tick in left.get_yticklabels()] == feature_names("HumanoidR")
 
 
 def test_a_trajectory_of_a_humanoid_is_refused() -> None:
     motion = Demonstrations((np.zeros((5, 23), np.float32),), (), "humanoid_CMU", "")
     with pytest.raises(SilemError, match="unknown runner 'humanoid_CMU'; allowed: HC0"):
-        one_run.trajectory(motion)
+        gaits.trajectory(motion)

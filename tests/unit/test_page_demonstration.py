@@ -22,8 +22,8 @@ from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import standing_feet
 from silem.report import film, style
 from silem.report.pages import demonstration as page
+from silem.report.pages.demonstration import SIDE_COLORS
 from silem.report.pages.humanoids import limb_distances_m
-from silem.report.stick_figure import SIDE_COLORS
 
 
 @pytest.fixture(autouse=True)

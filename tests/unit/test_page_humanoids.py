@@ -22,7 +22,7 @@ needs_pictures = pytest.mark.skipif(
 
 def test_figure_3a_shows_the_walk_above_the_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.zeros((40, 30, 3), np.uint8)
-    monkeypatch.setattr(film, "still", lambda body, size, span_m: picture)
+    monkeypatch.setattr(film, "still", lambda body, size: picture)
     figure = humanoids.figure_3a(published_motion("08_01"), NAMES)
     assert_readable(figure)
     words = texts(figure)

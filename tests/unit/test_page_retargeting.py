@@ -28,7 +28,7 @@ from silem.motion.retargeting import (
 )
 from silem.report import film, style
 from silem.report.pages import retargeting as page
-from silem.report.stick_figure import SIDE_COLORS
+from silem.report.pages.demonstration import SIDE_COLORS
 from silem.util.errors import SilemError
 
 every_body = pytest.mark.parametrize("index", range(len(BODIES)), ids=BODIES)

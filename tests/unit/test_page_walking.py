@@ -11,9 +11,9 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
-from silem.report import film, notebook, results, style, tables
+from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
-from silem.report.figures.learning import compared_curves
+from silem.report.curves import compared_curves
 from silem.report.pages import walking
 from silem.study.config import RunConfig
 from silem.study.record import RunRecord
@@ -121,7 +121,7 @@ def test_a_cell_speaks_through_its_stand_ins_only_without_planned_runs(frame: pd
 
 def test_without_runs_everything_says_so(empty: pd.DataFrame) -> None:
     said = walking.sentences(empty)
-    assert (said["n_cells"], said["longest"]) == (0, tables.DASH)
+    assert (said["n_cells"], said["longest"]) == (0, style.DASH)
     assert np.isnan(walking.cell_sentences(empty, "x", "silem", "Atlas")["x_steps"])
     assert list(walking.gait_table({"": empty})["body"]) == ["no run"]
     assert walking.longest_run(empty, "silem", "Humanoid") == ""
@@ -161,7 +161,7 @@ def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
         "ppo": results.select(frame, ["ppo"], ["Humanoid"]),
     }
     figure = compared_curves(groups)
-    assert [len(axes.lines) for axes in figure.axes[:3]] == [3, 3, 3]
+    assert [len(axes.lines) for axes in figure.axes[:3]] == [3, 3, 2]  # PPO has no discriminator
     dashes = {line.get_linestyle() for line in figure.axes[0].lines}
     assert len(dashes) == 2
     assert "silem: 2 trials" in texts(figure)

@@ -16,17 +16,16 @@ from drawn import assert_readable, boxes, footer, lines_at, texts
 from matplotlib.axes import Axes
 from scipy import stats
 
-from silem.report import features, provenance, results, statistics, style, tables
-from silem.report.figures import affine, learning, sources, trials
+from silem.report import curves, results, scores, statistics, style, tables, transforms
 from silem.study.config import RunConfig
 from silem.util.errors import SilemError
 
 FIGURES = {
-    "normalised_scores": trials.normalised_scores,
-    "affine_or_mlp": trials.affine_or_mlp,
-    "experts": trials.experts,
-    "learning_curves": learning.learning_curves,
-    "transforms": affine.transforms,
+    "normalised_scores": scores.normalised_scores,
+    "affine_or_mlp": scores.affine_or_mlp,
+    "experts": scores.experts,
+    "learning_curves": curves.learning_curves,
+    "by_feature": transforms.by_feature,
 }
 CASES = ("whole", "five", "partial", "single", "bad expert", "empty", "tiny")
 
@@ -85,14 +84,14 @@ def test_the_same_records_give_the_same_bytes(name: str, frame: pd.DataFrame) ->
 
 def test_drawing_leaves_no_state_behind(frame: pd.DataFrame) -> None:
     before = dict(mpl.rcParams)
-    style.svg(trials.experts(frame))
+    style.svg(scores.experts(frame))
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_figure_names_budget_and_runs(name: str, frame: pd.DataFrame) -> None:
-    shown = sources.runs_of(name, frame)
+    shown = scores.runs_of(name, frame)
     text = footer(FIGURES[name](frame))
     assert text.startswith("budget book (") and "iterations" in text
     assert f"{len(shown)} runs" in text
@@ -106,7 +105,7 @@ def test_figures_of_toy_budgets_warn(name: str, frame: pd.DataFrame) -> None:
 
 
 def test_figure_2b_draws_minimum_mean_maximum_and_every_trial(frame: pd.DataFrame) -> None:
-    left = trials.normalised_scores(frame).axes[0]
+    left = scores.normalised_scores(frame).axes[0]
     drawn = lines_at(left, style.METHODS["silem-minus"].color)
     values = results.scores(frame, "silem-minus", "HC1")
     ends = [tuple(line.get_ydata()) for line in drawn if len(set(line.get_ydata())) == 2]
@@ -125,7 +124,7 @@ def pale(axes: Axes, method: str) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("frame", ["five"], indirect=True)
 def test_figure_2b_draws_students_interval_with_its_coverage(frame: pd.DataFrame) -> None:
-    figure_frame, figure = frame, trials.normalised_scores(frame)
+    figure_frame, figure = frame, scores.normalised_scores(frame)
     for axes, column in zip(figure.axes, ("normalised", "speed_m_s"), strict=True):
         first = pale(axes, "silem")[0]
         values = results.scores(frame, "silem", "HC0", column)
@@ -137,18 +136,18 @@ def test_figure_2b_draws_students_interval_with_its_coverage(frame: pd.DataFrame
     for method in ("silem", "silem-minus", "silem-minus-own"):  # the experts alone have five
         frame = frame[frame["method"] != method]
     frame.attrs = figure_frame.attrs
-    assert "Student's 95 %" in footer(trials.normalised_scores(frame))
+    assert "Student's 95 %" in footer(scores.normalised_scores(frame))
 
 
 @pytest.mark.parametrize("frame", ["whole", "single", "empty"], indirect=True)
 def test_figures_draw_no_interval_below_five_trials(frame: pd.DataFrame) -> None:
-    figure = trials.normalised_scores(frame)
+    figure = scores.normalised_scores(frame)
     assert not any(pale(axes, method) for axes in figure.axes for method in style.METHODS)
     assert "no interval below 5 trials" in footer(figure)
 
 
 def test_figure_2b_shows_the_best_expert_and_the_speeds(frame: pd.DataFrame) -> None:
-    left, right = trials.normalised_scores(frame).axes
+    left, right = scores.normalised_scores(frame).axes
     dots = [line.get_ydata()[0] for line in lines_at(left, style.INK)]
     assert dots == [results.scores(frame, "ppo", body).max() for body in ("HC0", "HC1", "HC2")]
     expert = [line.get_ydata() for line in right.lines if line.get_marker() == "P"]
@@ -158,7 +157,7 @@ def test_figure_2b_shows_the_best_expert_and_the_speeds(frame: pd.DataFrame) -> 
 
 @synthetic.study("single")
 def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> None:
-    figure = trials.normalised_scores(frame)
+    figure = scores.normalised_scores(frame)
     for axes in figure.axes:
         for method in ("silem", "silem-minus", "silem-minus-own"):
             drawn = lines_at(axes, style.METHODS[method].color)
@@ -173,7 +172,7 @@ def test_one_trial_is_drawn_hollow_and_without_range(frame: pd.DataFrame) -> Non
 
 @synthetic.study("partial")
 def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) -> None:
-    words = texts(trials.normalised_scores(frame))
+    words = texts(scores.normalised_scores(frame))
     assert words.count("no run") == 3  # SILEM-minus on HC2, in both panels; HC1's expert
     assert words.count("no expert") == 3  # HC1's runs cannot be normalised
     assert {"n=1", "n=3"} <= set(words)
@@ -181,27 +180,27 @@ def test_cells_without_runs_are_empty_slots_that_say_why(frame: pd.DataFrame) ->
 
 @synthetic.study("bad expert")
 def test_an_expert_below_zero_is_no_scale(frame: pd.DataFrame) -> None:
-    words = texts(trials.normalised_scores(frame))
+    words = texts(scores.normalised_scores(frame))
     assert words.count("expert's return ≤ 0") == 3
     assert any(word.startswith("HC2\nexperts −1,") for word in words)
 
 
 @synthetic.study("empty")
 def test_figures_without_any_run_are_all_empty_slots(frame: pd.DataFrame) -> None:
-    assert texts(trials.normalised_scores(frame)).count("no run") == 9 + 12
-    assert texts(trials.experts(frame)).count("no run") == 18
-    assert texts(learning.learning_curves(frame)).count("no run") == 9
-    assert "HC1, no run" in texts(affine.transforms(frame))
+    assert texts(scores.normalised_scores(frame)).count("no run") == 9 + 12
+    assert texts(scores.experts(frame)).count("no run") == 18
+    assert texts(curves.learning_curves(frame)).count("no run") == 9
+    assert "HC1, no run" in texts(transforms.by_feature(frame))
 
 
 def test_experts_are_drawn_beside_the_papers_numbers(frame: pd.DataFrame) -> None:
-    panel = trials.experts(frame).axes[0]
+    panel = scores.experts(frame).axes[0]
     amber = [line.get_ydata()[0] for line in lines_at(panel, style.PAPER)]
     assert sorted(amber) == [-1555, 2249]
 
 
 def test_affine_or_mlp_puts_reward_against_return(frame: pd.DataFrame) -> None:
-    axes = trials.affine_or_mlp(frame).axes[0]
+    axes = scores.affine_or_mlp(frame).axes[0]
     pink = lines_at(axes, style.METHODS["silem-mlp"].color)
     ours, printed = (np.column_stack(line.get_data()) for line in pink)
     rows = results.cell(frame, "silem-mlp", "HC0")
@@ -210,7 +209,7 @@ def test_affine_or_mlp_puts_reward_against_return(frame: pd.DataFrame) -> None:
 
 
 def test_learning_curves_show_the_mean_over_trials(frame: pd.DataFrame) -> None:
-    figure = learning.learning_curves(frame)
+    figure = curves.learning_curves(frame)
     panel = figure.axes[0]  # return, HC0
     (line,) = lines_at(panel, style.METHODS["ppo"].color)
     final = results.scores(frame, "ppo", "HC0", "return_mean").mean()
@@ -224,46 +223,46 @@ def test_learning_curves_tell_no_run_from_nothing_recorded(
 ) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book"))
-    alone = texts(learning.learning_curves(results.load_records("halfcheetah", "book")))
+    alone = texts(curves.learning_curves(results.load_records("halfcheetah", "book")))
     assert (alone.count("no run"), alone.count("not recorded")) == (4, 0)
     assert "discriminator reward" not in alone
     synthetic.write_record(RunConfig.create("HC1", "silem", budget="book"))
-    figure = learning.learning_curves(results.load_records("halfcheetah", "book"))
+    figure = curves.learning_curves(results.load_records("halfcheetah", "book"))
     words = texts(figure)
     # nothing ran on HC2; HC0's expert has no discriminator
     assert (words.count("no run"), words.count("not recorded")) == (3, 1)
     assert "discriminator reward" in words
     assert len(figure.axes[0].get_yticks()) > 2
-    empty = learning.learning_curves(results.load_records("no-gradient-penalty", "book"))
+    empty = curves.learning_curves(results.load_records("no-gradient-penalty", "book"))
     assert not any(len(axes.get_yticks()) for axes in empty.axes)  # no curve, no scale
 
 
 def test_transforms_mark_each_feature_at_the_trials_mean(frame: pd.DataFrame) -> None:
-    left, right = affine.transforms(frame).axes
+    left, right = transforms.by_feature(frame).axes
     runs = results.cell(frame, "silem", "HC2")["run_id"]
     mean = np.mean([results.load_transform(run)["b"] for run in runs], axis=0)
     assert any(np.array_equal(line.get_xdata(), mean) for line in right.lines)
-    assert [label.get_text() for label in left.get_yticklabels()] == features.feature_names("HC2")
+    assert [label.get_text() for label in left.get_yticklabels()] == transforms.feature_names("HC2")
 
 
 def test_features_are_named_after_joints_and_feet() -> None:
-    names = features.feature_names("HC0")
+    names = transforms.feature_names("HC0")
     assert len(names) == len(set(names)) == 26
     assert names[3] == "forward velocity" and names[8:10] == [
         "back thigh angle",
         "back thigh velocity",
     ]
-    assert len(features.feature_names("Ant3")) == 28
+    assert len(transforms.feature_names("Ant3")) == 28
 
 
 def test_unknown_figures_are_refused(frame: pd.DataFrame) -> None:
     with pytest.raises(SilemError, match="allowed: normalised_scores"):
-        sources.runs_of("figure 9", frame)
+        scores.runs_of("figure 9", frame)
 
 
 def test_saved_figures_are_whole_files(frame: pd.DataFrame, tmp_path: Path) -> None:
     for name in ("a.svg", "b.svg"):
-        style.save(trials.experts(frame), tmp_path / name)
+        style.save(scores.experts(frame), tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
@@ -273,10 +272,10 @@ def test_saved_figures_are_whole_files(frame: pd.DataFrame, tmp_path: Path) -> N
 def test_table_1_puts_ours_beside_the_papers(frame: pd.DataFrame) -> None:
     page = tables.table_1(frame).to_html()
     for value in (466, 451, -1979, 2234):
-        assert tables.number(value) in page
+        assert style.number(value) in page
     ours = results.scores(frame, "silem", "HC0", "return_mean")
-    assert tables.number(ours.mean()) in page
-    assert f"{tables.number(ours.min())} to {tables.number(ours.max())}" in page
+    assert style.number(ours.mean()) in page
+    assert f"{style.number(ours.min())} to {style.number(ours.max())}" in page
 
 
 @synthetic.study("partial")
@@ -289,8 +288,8 @@ def test_cell_table_has_a_row_for_every_planned_cell(frame: pd.DataFrame) -> Non
 
 @synthetic.study("partial")
 def test_trace_lists_every_run_with_the_command_that_reruns_it(frame: pd.DataFrame) -> None:
-    shown = sources.runs_of("normalised_scores", frame)
-    page = provenance.trace(shown).data
+    shown = scores.runs_of("normalised_scores", frame)
+    page = results.trace(shown).data
     for row in shown.itertuples():
         assert f"<code>{row.run_id}</code><br><code>{row.command}</code>" in page
     for run in shown.attrs["missing"]:
@@ -309,15 +308,15 @@ def test_trace_names_every_commit_and_says_where_code_was_changed(
         synthetic.write_record(config, commit=commit)
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=99))
     table = results.load_records("halfcheetah", "book")
-    assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb"
-    assert "other settings or seeds, not shown (1)" in provenance.trace(table).data
+    assert results.commits(table) == "commits aaaaaaa, bbbbbbb"
+    assert "other settings or seeds, not shown (1)" in results.trace(table).data
     table["dirty"] = [False, True]
-    assert provenance.commits(table) == "commits aaaaaaa, bbbbbbb with uncommitted changes"
+    assert results.commits(table) == "commits aaaaaaa, bbbbbbb with uncommitted changes"
 
 
 @synthetic.study("empty")
 def test_trace_of_no_runs_lists_what_to_make(frame: pd.DataFrame) -> None:
-    page = provenance.trace(frame).data
+    page = results.trace(frame).data
     assert "0 runs" in page and "silem run --body HC0 --method ppo" in page
 
 

@@ -10,7 +10,7 @@ import pytest
 import synthetic_records as synthetic
 
 from silem import paper
-from silem.report import claims, results, scorecard
+from silem.report import claims, results
 from silem.report.claims import FAILS, HOLDS, UNDECIDED, Finding, Measure
 
 CASES = ("whole", "single", "bad expert", "empty", "tiny")
@@ -34,7 +34,7 @@ def make(case: str, folder: Path) -> pd.DataFrame:
 
 
 def judged(frame: pd.DataFrame, text: str) -> pd.Series:
-    return scorecard.evaluate(frame).set_index("text").loc[text]
+    return claims.evaluate(frame).set_index("text").loc[text]
 
 
 def changed(frame: pd.DataFrame, method: str, body: str, **columns: float) -> pd.DataFrame:
@@ -191,7 +191,7 @@ def test_degradation_is_against_the_own_expert_on_the_same_body(frame: pd.DataFr
 
 @pytest.mark.parametrize("frame", ["single", "empty", "tiny"], indirect=True)
 def test_scorecard_decides_nothing_on_too_little(frame: pd.DataFrame) -> None:
-    rows = scorecard.evaluate(frame)
+    rows = claims.evaluate(frame)
     decided = rows[rows["verdict"] != UNDECIDED]
     # The random policy is not trained: its episodes are enough, at a budget that is evidence.
     allowed = {"The random policy's return is the paper's on HC0"} if len(frame) == 16 else set()
@@ -229,25 +229,25 @@ def test_power_is_that_of_the_planned_trials(frame: pd.DataFrame) -> None:
 
 
 def test_scorecard_table_shows_every_claim_with_its_rule(frame: pd.DataFrame) -> None:
-    page = scorecard.table(frame).to_html()
+    page = claims.table(frame).to_html()
     judged = claims.of("halfcheetah")
     for claim in judged:
         assert claim.text in page and claim.rule in page
-    assert sum(scorecard.counts(frame).values()) == len(judged)
+    assert sum(claims.counts(frame).values()) == len(judged)
     assert page.count("background-color") >= 2
     assert "5 trials find ±" in page and "against the best expert" in page
-    rules = scorecard.rules().to_html()
+    rules = claims.rules().to_html()
     assert all(text.split(".")[0] in rules for text in claims.RULES.values())
 
 
 def test_the_papers_loss_has_columns_of_its_own(frame: pd.DataFrame) -> None:
-    rows = scorecard.table(frame).data.set_index(("", "claim"))["the paper's loss"]["verdict"]
+    rows = claims.table(frame).data.set_index(("", "claim"))["the paper's loss"]["verdict"]
     by_claim = {name.partition("<br>")[0]: cell for name, cell in rows.items()}
     assert by_claim["SILEM beats SILEM⁻ on HC1"] == f"<b>{HOLDS}</b>"
     assert "SILEM 1, SILEM⁻ 0; 3 needed" in by_claim["SILEM beats SILEM⁻ on HC2"]
     assert "spans the bound" in by_claim[REACHES + "HC0"]  # by the experts that both share
     assert "not planned: MLP on HC0" in by_claim["The MLP's return is the paper's on HC0"]
-    ours = scorecard.table(frame).data.set_index(("", "claim"))["this book's loss"]["verdict"]
+    ours = claims.table(frame).data.set_index(("", "claim"))["this book's loss"]["verdict"]
     assert "too few" not in "".join(ours)
 
 

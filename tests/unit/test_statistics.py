@@ -11,31 +11,31 @@ from silem.report import statistics
 
 def test_mean_interval_by_hand() -> None:
     # Mean 2, standard deviation 1, t(2, 97.5 %) = 4.3027: half width 4.3027 / sqrt(3).
-    low, high = statistics.mean_interval([1.0, 2.0, 3.0])
+    low, high = statistics.interval([1.0, 2.0, 3.0])
     np.testing.assert_allclose([low, high], [2 - 2.48414, 2 + 2.48414], atol=1e-4)
 
 
 def test_difference_interval_by_hand() -> None:
     # Equal sizes and spreads: Welch is Student with 4 degrees of freedom, t = 2.7764.
-    low, high = statistics.difference_interval([11.0, 12.0, 13.0], [1.0, 2.0, 3.0])
+    low, high = statistics.interval([11.0, 12.0, 13.0], [1.0, 2.0, 3.0])
     half = 2.77645 * (1 / 3 + 1 / 3) ** 0.5
     np.testing.assert_allclose([low, high], [10 - half, 10 + half], atol=1e-4)
-    assert statistics.difference_interval([2.0, 2.0], [1.0, 1.0]) == (1.0, 1.0)
+    assert statistics.interval([2.0, 2.0], [1.0, 1.0]) == (1.0, 1.0)
 
 
 def test_intervals_are_scipys(rng: np.random.Generator) -> None:
     one, two = rng.normal(size=5), rng.normal(2, 3, size=4)
     welch = stats.ttest_ind(one, two, equal_var=False).confidence_interval()
-    np.testing.assert_allclose(statistics.difference_interval(one, two), welch)
+    np.testing.assert_allclose(statistics.interval(one, two), welch)
     np.testing.assert_allclose(
-        statistics.mean_interval(one), stats.ttest_1samp(one, 0).confidence_interval()
+        statistics.interval(one), stats.ttest_1samp(one, 0).confidence_interval()
     )
 
 
 def test_one_trial_has_neither_interval_nor_power() -> None:
-    assert np.isnan(statistics.mean_interval([7.0])).all()
-    assert np.isnan(statistics.mean_interval([])).all()
-    assert np.isnan(statistics.difference_interval([7.0], [1.0, 2.0])).all()
+    assert np.isnan(statistics.interval([7.0])).all()
+    assert np.isnan(statistics.interval([])).all()
+    assert np.isnan(statistics.interval([7.0], [1.0, 2.0])).all()
     assert np.isnan(statistics.detectable([7.0], [1.0, 2.0], n_trials=5))
 
 
@@ -57,9 +57,9 @@ def test_what_is_detectable_is_found_in_four_of_five_studies(
         for _ in range(2000):
             scores, other = rng.normal(true, 1, size=5), rng.normal(0, 1, size=5)
             if two:
-                low, _ = statistics.difference_interval(scores, other)
+                low, _ = statistics.interval(scores, other)
             else:
-                low, _ = statistics.mean_interval(scores)
+                low, _ = statistics.interval(scores)
             found[true] += low > 0
     assert 0.77 <= found[distance] / 2000 <= 0.83
     assert found[0.0] / 2000 < 0.05  # nothing there is rarely found

@@ -1,12 +1,21 @@
-"""The page of the demonstration: the man's poses, his features over time, all his clips."""
+"""The page of the demonstration: the man's poses, his features over time, all his clips.
+
+Its stick figures, landmarks with left and right in the colours of their side, are also those of the
+other pages on humanoids.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -15,9 +24,19 @@ from silem.motion.demonstrator import CLIPS, Motion, published_name
 from silem.motion.features import FEATURES, POINTS
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import standing_feet
-from silem.report import stick_figure, style
-from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
+from silem.report import style
 
+SIDE_COLORS = {"left": "#E07B39", "right": "#0072B2"}
+MARGIN_M = 0.15
+"""What is left free around a walk."""
+
+_CHAINS = (
+    ("torso", "head"),
+    ("left_shoulder", "torso", "right_shoulder"),
+    ("left_hip", "torso", "right_hip"),
+    *((f"{side}_shoulder", f"{side}_elbow", f"{side}_hand") for side in SIDES),
+    *((f"{side}_hip", f"{side}_knee", f"{side}_foot") for side in SIDES),
+)
 _N_POSES = 6
 _AXES = {"x": "forward", "y": "left", "z": "up"}
 _PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -38,60 +57,99 @@ _PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
 """The panels of `features`, three in a row: a title and the features drawn in it."""
 
 
+def from_the_right(points: np.ndarray) -> np.ndarray:
+    """Project points (..., 3) for a look from the right: x to the right and z up, (..., 2)."""
+    return points[..., [0, 2]]
+
+
+def equal_times(n_states: int, n_poses: int) -> np.ndarray:
+    """Return which of some states lie at equal times, the first and the last among them."""
+    return np.linspace(0, n_states - 1, n_poses).round().astype(int)
+
+
+def draw(axes: Axes, points: np.ndarray, alpha: float = 1.0) -> None:
+    """Draw one pose, points (P, 2), its left side behind its right one."""
+    for color in (SIDE_COLORS["left"], style.INK, SIDE_COLORS["right"]):
+        segments = [
+            points[[POINTS.index(name) for name in bone]]
+            for bone in itertools.chain.from_iterable(map(itertools.pairwise, _CHAINS))
+            if (style.INK if "torso" in bone else side_color(bone[0])) == color
+        ]
+        look: dict[str, Any] = {"linewidths": 2.4, "capstyle": "round", "zorder": 3, "alpha": alpha}
+        axes.add_collection(LineCollection(segments, colors=color, **look))
+    head = points[POINTS.index("head")]
+    axes.plot(*head, "o", ms=7, color=style.INK, mec="none", zorder=4, alpha=alpha)
+
+
+def floor(axes: Axes, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the floor, undistorted and as wide as a walk (..., 2); return its corners, (2,) each."""
+    flat = points.reshape(-1, 2)
+    low, high = flat.min(axis=0) - MARGIN_M, flat.max(axis=0) + MARGIN_M
+    axes.set(xlim=(low[0], high[0]), ylim=(-0.1, high[1]), aspect="equal")
+    axes.axhline(0.0, color=style.MUTED, lw=1, zorder=0)
+    return low, high
+
+
+def side_color(name: str) -> str:
+    """Return the colour of what a name's first word, "left" or "l", puts on a side; else ink."""
+    sides = [side for side in SIDES if name.partition("_")[0] in (side, side[0])]
+    return SIDE_COLORS[sides[0]] if sides else style.INK
+
+
+def handles(what: str) -> list[Line2D]:
+    """Return the legend's entries for both sides, "left foot" and "right foot" for instance."""
+    return [style.handle(c, f"{side} {what}", lw=2.4) for side, c in SIDE_COLORS.items()]
+
+
+@style.applied()
 def poses(motion: Motion) -> Figure:
     """Draw poses at equal times, seen from the right, with the paths of hands and feet."""
-    seen = stick_figure.from_the_right(motion.points)
-    low, high = seen.min(axis=(0, 1)), seen.max(axis=(0, 1))
-    with style.applied():
-        width_m, height_m = high[0] - low[0] + 2 * MARGIN_M, high[1] + 2 * MARGIN_M
-        figure, axes = style.new_figure(style.WIDTH_IN * height_m / width_m + 0.7)
-        axes.set(xlim=(low[0] - MARGIN_M, high[0] + MARGIN_M), ylim=(-0.1, high[1] + 0.25))
-        axes.set(aspect="equal", xlabel="x, forward (m)", ylabel="z, up (m)")
-        axes.axhline(0.0, color=style.MUTED, lw=1)
-        for name in ("left_hand", "right_hand", "left_foot", "right_foot"):
-            color = stick_figure.side_color(name)
-            axes.plot(*seen[:, POINTS.index(name)].T, color=color, lw=0.8, alpha=0.6)
-        for state in stick_figure.equal_times(len(seen), _N_POSES):
-            stick_figure.draw(axes, seen[state])
-            x, y = seen[state, POINTS.index("head")]
-            label = f"{state / motion.rate_hz:.2f} s"
-            axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
-        figure.legend(handles=stick_figure.handles("side"), loc="outside upper left", ncols=2)
+    seen = from_the_right(motion.points)
+    (width_m, _), top_m = np.ptp(seen, axis=(0, 1)) + 2 * MARGIN_M, seen[..., 1].max()
+    height_in = style.WIDTH_IN * (top_m + 2 * MARGIN_M) / width_m + 0.7
+    figure, axes = style.new_figure(height_in)
+    floor(axes, seen)
+    axes.set(ylim=(-0.1, top_m + 0.25), xlabel="x, forward (m)", ylabel="z, up (m)")
+    for name in ("left_hand", "right_hand", "left_foot", "right_foot"):
+        path = seen[:, POINTS.index(name)].T
+        axes.plot(*path, color=side_color(name), lw=0.8, alpha=0.6)
+    for state in equal_times(len(seen), _N_POSES):
+        draw(axes, seen[state])
+        x, y = seen[state, POINTS.index("head")]
+        label = f"{state / motion.rate_hz:.2f} s"
+        axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
+    figure.legend(handles=handles("side"), loc="outside upper left", ncols=2)
     return figure
 
 
+@style.applied()
 def features(motion: Motion) -> Figure:
-    """Draw every skeletal feature over time with its unit, left and right in one panel.
-
-    While a foot stands (`silem.motion.targets.standing_feet`), the panels are shaded in its
-    side's colour.
-    """
+    """Draw every feature over time, left and right in one panel, shaded while a foot stands."""
     columns = {feature.name: column for column, feature in enumerate(FEATURES)}
     time_s = np.arange(len(motion.features)) / motion.rate_hz
     stances = list(_stances(motion))
-    with style.applied():
-        figure, grid = style.new_figure(8.2, nrows=len(_PANELS) // 3, ncols=3, sharex=True)
-        for axes, (title, names) in zip(grid.flat, _PANELS, strict=True):
-            unit = FEATURES[columns[names[0]]].unit
-            axes.set_title(f"{title} ({unit})" if unit else title, fontweight="normal", pad=4)
-            for side, start_s, end_s in stances:
-                axes.axvspan(start_s, end_s, color=SIDE_COLORS[side], alpha=0.12, lw=0)
-            for name in names:
-                color = stick_figure.side_color(name)
-                axes.plot(time_s, motion.features[:, columns[name]], color=color, lw=1.4)
-            axes.set_xlim(0, time_s[-1])
-            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-            axes.ticklabel_format(axis="y", useOffset=False)
-        for axes in grid[-1]:
-            axes.set_xlabel("time (s)")
-        figure.align_xlabels(grid[-1])
-        colors = {**SIDE_COLORS, "whole body": style.INK}
-        lines = [style.handle(color, label, lw=1.8) for label, color in colors.items()]
-        spans = [
-            Patch(color=color, alpha=0.25, lw=0, label=f"{side} foot stands")
-            for side, color in SIDE_COLORS.items()
-        ]
-        figure.legend(handles=[*lines, *spans], loc="outside upper left", ncols=5)
+    figure, grid = style.new_figure(8.2, nrows=len(_PANELS) // 3, ncols=3, sharex=True)
+    for axes, (title, names) in zip(grid.flat, _PANELS, strict=True):
+        unit = FEATURES[columns[names[0]]].unit
+        axes.set_title(f"{title} ({unit})" if unit else title, fontweight="normal", pad=4)
+        for side, start_s, end_s in stances:
+            axes.axvspan(start_s, end_s, color=SIDE_COLORS[side], alpha=0.12, lw=0)
+        for name in names:
+            values = motion.features[:, columns[name]]
+            axes.plot(time_s, values, color=side_color(name), lw=1.4)
+        axes.set_xlim(0, time_s[-1])
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.ticklabel_format(axis="y", useOffset=False)
+    for axes in grid[-1]:
+        axes.set_xlabel("time (s)")
+    figure.align_xlabels(grid[-1])
+    colors = {**SIDE_COLORS, "whole body": style.INK}
+    lines = [style.handle(color, label, lw=1.8) for label, color in colors.items()]
+    spans = [
+        Patch(color=color, alpha=0.25, lw=0, label=f"{side} foot stands")
+        for side, color in SIDE_COLORS.items()
+    ]
+    figure.legend(handles=[*lines, *spans], loc="outside upper left", ncols=5)
     return figure
 
 
@@ -104,11 +162,7 @@ def _stances(motion: Motion) -> Iterator[tuple[str, float, float]]:
 
 
 def clips() -> pd.DataFrame:
-    """Return what the manifest says of the published clips, one row each.
-
-    Raises:
-        SilemError: One of them was not published.
-    """
+    """Return what the manifest says of the published clips, one row each."""
     about = pd.DataFrame([demonstrations.entry(published_name(clip)) for clip in CLIPS])
     return pd.DataFrame(
         {

@@ -1,4 +1,4 @@
-"""The gaits of one body's experts, and what their imitators make of them."""
+"""The gaits of one body's experts: what they show, how they run, what imitators make of them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -13,22 +14,31 @@ from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 from scipy import signal, stats
 
+from silem import bodies
 from silem.bodies import BulletBody
+from silem.bodies.half_cheetah import nose_touch_pitch_rad
 from silem.motion.demonstrations import Demonstrations, entry, file_of
-from silem.report import film, results, style, tables
-from silem.report.figures import sources
+from silem.report import film, results, scores, style, tables
+from silem.report.style import number
+from silem.report.transforms import Group, feature_groups
 from silem.study import demonstrate, runs
+from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import demonstrator, experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.study.settings import expert_of
-from silem.util.errors import SilemError
+from silem.study.studies import cells
+from silem.util.errors import SilemError, choose
 
 _METHODS = ("silem", "silem-minus")
 _PICTURE = (320, 240)  # pixels of one clip in a grid
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
+_UNLIKE = {
+    "clip_actions": "Actions handed on as they are, not clipped",
+    "anneal_clip": "A clip range that falls with the learning rate",
+}
 
 
 class ExpertGait(NamedTuple):
@@ -51,9 +61,9 @@ def load(body: str, budget: str, n_trajectories: int) -> Shown:
     """
     shown: Shown = {}
     for config in experts(body, budget):
-        record, name = runs.find(config.run_id), f"{body}_s{config.seed}"
+        name = f"{body}_s{config.seed}"
         shown[name] = None
-        if record is not None:
+        if record := runs.find(config.run_id):
             episodes = _episodes(record, n_trajectories)
             shown[name] = ExpertGait(record, episodes, demonstrate.gait(episodes))
     return shown
@@ -67,25 +77,72 @@ def _episodes(record: RunRecord, n_trajectories: int) -> Demonstrations:
     return record_episodes(load_policy(record), body, n_trajectories, run_id=record.run_id)
 
 
+@style.applied()
+def trajectory(demonstrations: Demonstrations, duration_s: float = 2.0) -> Figure:
+    """Draw the start of a runner's first demonstrated trajectory, every feature over time."""
+    runners = [name for name in bodies.names() if bodies.get(name).engine == "bullet"]
+    body = bodies.get(choose("runner", demonstrations.body, runners))
+    values = demonstrations.features[0][: max(2, round(duration_s / BulletBody.control_step_s))]
+    *lines, contacts = feature_groups(body.name)
+    heights = [3.2, 3, 3, 0.34 * len(contacts.columns)]
+    figure, grid = style.new_figure(7.2, nrows=4, sharex=True, height_ratios=heights)
+    time_s = np.arange(len(values)) * BulletBody.control_step_s
+    for axes, group in zip(grid[:3], lines, strict=True):
+        axes.set_prop_cycle(color=mpl.colormaps["tab10"].colors)  # type: ignore[attr-defined]
+        axes.plot(time_s, values[:, group.columns], lw=1.2, label=group.labels)
+        axes.set_ylabel(f"{group.name}\n({group.unit})")
+        axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8, handlelength=1.2)
+    _draw_contacts(grid[3], values, contacts)
+    grid[3].set_xlabel("time (s)")
+    figure.align_ylabels(grid)
+    return figure
+
+
+def _draw_contacts(axes: Axes, values: np.ndarray, group: Group) -> None:
+    """Draw a bar for every stretch of time in which a part touches the floor."""
+    for row, column in enumerate(group.columns):
+        touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
+        starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
+        bars = BulletBody.control_step_s * np.stack([starts, ends - starts], axis=1)
+        axes.broken_barh(bars.tolist(), (row - 0.35, 0.7), color=style.INK, lw=0)
+    axes.set_yticks(range(len(group.labels)), group.labels)
+    axes.set_ylim(len(group.labels) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylabel(group.name)
+
+
 def chosen(body: str, budget: str) -> tuple[str, str]:
     """Return the demonstrator's name, "" until all experts are finished, and a sentence on it."""
     try:
         record = demonstrator(body, budget)
     except SilemError as error:
         return "", f"No demonstrator yet: {error}."
-    value = style.number(record.evaluation["return_mean"])
+    value = number(record.evaluation["return_mean"])
     return trial_name(record), (
         f"The demonstrator is trial {record.config['seed']}: of the"
         f" {len(experts(body, budget))} experts it has the highest evaluation return, {value}."
     )
 
 
-def table(shown: Shown, demonstrator_name: str) -> Styler:
-    """Return the gaits as a table, a row for each trial; the demonstrator's is marked.
+def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
+    """Say, of what the experts' PPO does unlike ppo1, what HC0's expert returns without it."""
+    usual = results.cell(records, "ppo", "HC0")["return_mean"]
+    span = f"{number(usual.min())} to {number(usual.max())} ({style.trials(len(usual))})"
+    lines = []
+    for cell in (cell for cell in cells("fidelity") if cell.body == "HC0"):
+        ((name, _),) = cell.overrides
+        run = runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id)
+        told = "not run yet"
+        if run is not None:
+            found = run.evaluation
+            told = f"{number(found['return_mean'])} at {number(found['speed_m_s'], 2)} m/s"
+        lines.append(f"- **{_UNLIKE[name]}**: {told}; otherwise {span}.")
+    return "\n".join(lines)
 
-    Returns and failures are those of the run's evaluation, the rest of the recorded episodes.
-    """
-    rows, number = [], tables.number
+
+def table(shown: Shown, demonstrator_name: str) -> Styler:
+    """Return the trials' gaits: return and failures as evaluated, the rest as recorded."""
+    rows = []
     for name, found in shown.items():
         mark = " (chosen)" if name == demonstrator_name else ""
         row = {"trial": f"{_trial(name)}{mark}", "return": "no run"}
@@ -103,7 +160,7 @@ def table(shown: Shown, demonstrator_name: str) -> Styler:
                 "joints at limits": number(g.joints_at_limit, 1),
             }
         rows.append(row)
-    return tables.styled(pd.DataFrame(rows).fillna(tables.DASH))
+    return tables.styled(pd.DataFrame(rows).fillna(style.DASH))
 
 
 def film_experts(shown: Shown, duration_s: float) -> film.Clip | None:
@@ -140,77 +197,82 @@ def strides(pitch: np.ndarray) -> np.ndarray:
     return np.array(cut).reshape(-1, len(_PHASES))
 
 
+@style.applied()
 def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
     """Draw each expert's pitch over a stride: median, and the middle 80 % of all strides."""
-    with style.applied():
-        figure, grid = style.new_figure(
-            2.3, ncols=len(shown), sharex=True, sharey=True, squeeze=False
-        )
-        for axes, (name, found) in zip(grid[0], shown.items(), strict=True):
-            mark = name == demonstrator_name
-            color = style.method("silem").color if mark else style.INK
-            axes.set_title(f"trial {_trial(name)}{' ●' if mark else ''}")
-            axes.axhline(0, color=style.MUTED, lw=0.8, ls=(0, (4, 3)))
-            axes.set(xlim=(0, 1))
-            axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
-            if found is None:
-                axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
-                continue
-            episodes = found.demonstrations.features
-            cut = np.concatenate(
-                [strides(demonstrate.pitch_rad(features)) for features in episodes]
-            )
-            if len(cut):
-                low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
-                axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
-                axes.plot(_PHASES, middle, color=color, lw=1.8)
-            axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
-        grid[0][0].set_ylabel("pitch (rad), nose down")
-        note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
-        style.footer(figure, f"{note}; ●: the demonstrator")
+    figure, grid = style.new_figure(2.3, ncols=len(shown), sharex=True, sharey=True, squeeze=False)
+    for axes, (name, found) in zip(grid[0], shown.items(), strict=True):
+        mark = name == demonstrator_name
+        color = style.method("silem").color if mark else style.INK
+        axes.set_title(f"trial {_trial(name)}{' ●' if mark else ''}")
+        axes.axhline(0, color=style.MUTED, lw=0.8, ls=style.DASHED)
+        axes.set_xlim(0, 1)
+        axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
+        if found is None:
+            axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
+            continue
+        episodes = found.demonstrations.features
+        cut = np.concatenate([strides(demonstrate.pitch_rad(states)) for states in episodes])
+        if len(cut):
+            low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
+            axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
+            axes.plot(_PHASES, middle, color=color, lw=1.8)
+        axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
+    grid[0][0].set_ylabel("pitch (rad), nose down")
+    note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
+    style.footer(figure, f"{note}; ●: the demonstrator")
     return figure
 
 
+@style.applied()
 def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     """Draw score and speed of the study "demonstrators", a slot for each demonstrator.
 
     Demonstrators stand in the order of their pitch, which their labels name together with how many
-    joints are at their limits; those without a gait come last. Bodies are columns.
+    joints are at their limits; those without a gait come last. Bodies are columns; in each a line
+    stands where the pitch is that at which the body's nose touches the floor, its leg at rest, and
+    a band reaches from there to where it does so with the leg stretched.
     """
     names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
+    pitches = [e.gait.pitch_rad for name in names if (e := shown[name])]
     score = _score_column(frame)
     titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
-    bodies = results.body_names(frame)
-    with style.applied():
-        figure, grid = style.new_figure(
-            4.6, nrows=2, ncols=len(bodies), sharex=True, sharey="row", squeeze=False
-        )
-        for column, body in zip(grid.T, bodies, strict=True):
-            column[0].set_title(body)
-            for axes, quantity in zip(column, titles, strict=True):
-                _draw_slots(axes, frame[frame["body"] == body], names, quantity)
-            labels = []
-            for x, name in enumerate(names):
-                about = "no run"
-                if (found := shown[name]) is not None:
-                    g = found.gait
-                    column[1].hlines(g.speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
-                    pitch = tables.number(g.pitch_rad, 2)
-                    about = f"{pitch} rad\n{g.joints_at_limit:.1f} joints"
-                labels.append(f"trial {_trial(name)}\n{about}")
-            column[1].set_xticks(range(len(names)), labels)
-            column[1].tick_params(axis="x", labelsize=7.5, length=0)
-        for axes, title in zip(grid[:, 0], titles.values(), strict=True):
-            axes.set_ylabel(title)
-        looks = [style.method(method) for method in _METHODS]
-        handles = [
-            style.handle(m.color, _label(m.label), ls="none", marker=m.marker, ms=7, mec="white")
-            for m in looks
-        ]
-        handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
-        figure.legend(handles=handles, loc="outside upper left", ncols=3)
-        note = "below: the demonstrator's mean pitch, and how many of its joints are at a limit"
-        sources.footer(figure, frame, note)
+    learners = results.body_names(frame)
+    figure, grid = style.new_figure(
+        4.6, nrows=2, ncols=len(learners), sharex=True, sharey="row", squeeze=False
+    )
+    for column, body in zip(grid.T, learners, strict=True):
+        touch = nose_touch_pitch_rad(bodies.of_kind(body, BulletBody))
+        column[0].set_title(f"{body}: nose on the floor from {number(touch[0], 2)} rad")
+        for axes, quantity in zip(column, titles, strict=True):
+            _draw_slots(axes, frame[frame["body"] == body], names, quantity)
+            if pitches:
+                ends = {"left": -0.5, "right": len(names) - 0.5}
+                low, high = np.interp(touch, pitches, range(len(pitches)), **ends)
+                axes.axvline(low, color=style.WARNING, lw=1.2, ls=style.DASHED)
+                axes.axvspan(low, high, color=style.WARNING, alpha=0.07, lw=0)
+        labels = []
+        for x, name in enumerate(names):
+            about = "no run"
+            if (found := shown[name]) is not None:
+                g = found.gait
+                column[1].hlines(g.speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
+                about = f"{number(g.pitch_rad, 2)} rad\n{g.joints_at_limit:.1f} joints"
+            labels.append(f"trial {_trial(name)}\n{about}")
+        column[1].set_xticks(range(len(names)), labels)
+        column[1].tick_params(axis="x", labelsize=7.5, length=0)
+    for axes, title in zip(grid[:, 0], titles.values(), strict=True):
+        axes.set_ylabel(title)
+    handles = style.marks((style.method(method, short=True) for method in _METHODS), ms=7)
+    handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
+    label = "its nose touches the floor"
+    handles.append(style.handle(style.WARNING, label, lw=1.2, ls=style.DASHED))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4)
+    note = (
+        "below: the demonstrator's mean pitch, and how many of its joints are at a limit; the nose"
+        " touches with the back foot on the floor, its leg at rest (line) to stretched (band)"
+    )
+    scores.footer(figure, frame, note)
     return figure
 
 
@@ -224,10 +286,8 @@ def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity:
             style.empty_slot(axes, x, "no run" if here.empty else "no expert")
         for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
             look, values = style.method(method), here[here["method"] == method][quantity]
-            axes.plot(
-                [x + offset] * len(values), values, look.marker, color=look.color, ms=7,
-                mec="white", zorder=3,
-            )  # fmt: skip
+            places = np.full(len(values), x + offset)
+            axes.plot(places, values, look.marker, color=look.color, ms=7, mec="white", zorder=3)
 
 
 class Effects(NamedTuple):
@@ -241,19 +301,19 @@ class Effects(NamedTuple):
 
 def effects(values: np.ndarray) -> Effects:
     """Analyse the variance of values (R, C), one per row and column, R and C of 2 or more."""
-    total = float(((values - values.mean()) ** 2).sum())
     n_rows, n_columns = values.shape
-    rows = float(n_columns * ((values.mean(axis=1) - values.mean()) ** 2).sum())
-    columns = float(n_rows * ((values.mean(axis=0) - values.mean()) ** 2).sum())
     freedom = (n_rows - 1) * (n_columns - 1)
-    error = max(total - rows - columns, 1e-12 * total) / freedom
+    rows = n_columns * n_rows * float(values.mean(axis=1).var())
+    columns = n_columns * n_rows * float(values.mean(axis=0).var())
+    total = float(values.size * values.var())
     if total == 0:
         return Effects(0.0, 0.0, 1.0, 1.0)
-    return Effects(
-        rows / total, columns / total,
-        float(stats.f.sf(rows / (n_rows - 1) / error, n_rows - 1, freedom)),
-        float(stats.f.sf(columns / (n_columns - 1) / error, n_columns - 1, freedom)),
-    )  # fmt: skip
+    error = max(total - rows - columns, 1e-12 * total) / freedom
+    rows_p, columns_p = (
+        float(stats.f.sf(part / (count - 1) / error, count - 1, freedom))
+        for part, count in ((rows, n_rows), (columns, n_columns))
+    )
+    return Effects(rows / total, columns / total, rows_p, columns_p)
 
 
 def decided(frame: pd.DataFrame, shown: Shown) -> str:
@@ -276,7 +336,7 @@ def decided(frame: pd.DataFrame, shown: Shown) -> str:
 
 def _told(both: pd.DataFrame, digits: int) -> str:
     """Say what moved the scores of a body's imitators, demonstrators by methods."""
-    means, found, number = both.mean(axis=1), effects(both.to_numpy()), tables.number
+    means, found = both.mean(axis=1), effects(both.to_numpy())
     gain = float((both["silem"] - both["silem-minus"]).mean())
     verdict = {
         (True, True): "Both the teacher and the transform matter.",
@@ -301,7 +361,7 @@ def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
     ends = ordered.iloc[[-1, 0][: len(ordered)]]
     return {
-        f"{word}: {run.body}, {_label(style.method(run.method).label)},"
+        f"{word}: {run.body}, {style.method(run.method, short=True).label},"
         f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
         for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
     }
@@ -320,7 +380,3 @@ def _score_column(frame: pd.DataFrame) -> str:
 
 def _trial(name: str) -> int | None:
     return expert_of(name)[1]
-
-
-def _label(method: str) -> str:
-    return method.partition(" (")[0]

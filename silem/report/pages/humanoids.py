@@ -8,7 +8,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 
@@ -18,71 +17,21 @@ from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs.mujoco import task as walking
 from silem.envs.mujoco.simulator import Simulation, body_of, start_state
-from silem.envs.mujoco.task import Reading
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import Limbs
-from silem.report import film, stick_figure, style
-from silem.report.stick_figure import MARGIN_M
-from silem.report.tables import DASH, number, styled
+from silem.report import film, style
+from silem.report.pages import demonstration
+from silem.report.style import number
+from silem.report.tables import styled
 from silem.study.evaluate import RandomPolicy, evaluate
 from silem.util import seeding
 from silem.util.errors import SilemError
 
-# ---------------------------------------------------------------- Figure 3a
-
 _N_POSES = 7
-_AZIMUTH_DEG = 25.0  # seen from the right and a little from the front, level with the floor
-_METRE = float(np.cos(np.deg2rad(_AZIMUTH_DEG)))  # a metre of the way, as long as it is seen
+_AZIMUTH_RAD = np.deg2rad(25.0)  # seen from the right and a little from the front, level
 _PORTRAIT = 480, 600  # pixels
-
-
-def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
-    """Draw Figure 3a: the demonstrator's walk, and below it the bodies that learn from it.
-
-    Strokes on the floor are a metre apart along x, the way that he walks. Where nothing can be
-    drawn offscreen, a body's panel says so.
-    """
-    points = motion.points
-    rows: list[Any] = [["walk"] * len(names), list(names)]
-    with style.applied():
-        figure = Figure(figsize=(style.WIDTH_IN, 5.9), layout="constrained")
-        panels = figure.subplot_mosaic(rows, height_ratios=[1, 1.2])
-        walk = panels["walk"]
-        _floor(walk, _project(points))
-        shown = stick_figure.equal_times(len(points), _N_POSES)
-        for rank, state in enumerate(shown, start=1):
-            stick_figure.draw(walk, _project(points[state]), alpha=0.35 + 0.65 * rank / _N_POSES)
-        way_m = float(np.linalg.norm(points[-1, 0, :2] - points[0, 0, :2]))
-        walk.set_title(f"The demonstrator: {way_m:.1f} m in {motion.duration_s:.1f} s")
-        for name in names:
-            panels[name].set_title(name)
-            film.portrait(panels[name], name, _PORTRAIT)
-    return figure
-
-
-def _project(points: np.ndarray) -> np.ndarray:
-    """Project points (..., 3) onto the picture, in m: to the right and up, (..., 2)."""
-    azimuth = np.deg2rad(_AZIMUTH_DEG)
-    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    return points @ np.stack([right, [0.0, 0.0, 1.0]], axis=1)
-
-
-def _floor(axes: Axes, points: np.ndarray) -> None:
-    """Set the limits so that the whole walk (T, P, 2) is seen, undistorted, on its floor."""
-    low, high = points.min(axis=(0, 1)) - MARGIN_M, points.max(axis=(0, 1)) + MARGIN_M
-    axes.set(xlim=(low[0], high[0]), ylim=(min(low[1], -MARGIN_M), high[1]), aspect="equal")
-    axes.axhline(0.0, color=style.FAINT, lw=1.5, zorder=0)
-    strokes = np.arange(np.ceil(low[0] / _METRE), np.floor(high[0] / _METRE) + 1) * _METRE
-    axes.plot(strokes, np.zeros(len(strokes)), "|", ms=9, color=style.MUTED, zorder=0)
-    axes.set_axis_off()
-    look: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1, 1.12), "fontsize": 8}
-    axes.legend(handles=stick_figure.handles("side"), ncols=2, **look)
-
-
-# ---------------------------------------------------------------- measures
-
 _ALIKE = {  # joints of Humanoid and of Atlas that do the same
     "hip, forward and back": ("right_hip_y", "r_leg_hpy"),
     "hip, sideways": ("right_hip_x", "r_leg_hpx"),
@@ -99,6 +48,45 @@ _ALIKE = {  # joints of Humanoid and of Atlas that do the same
 }
 _GRAVITY_M_S2 = 9.81
 _TRUNK = ("pelvis", "ltorso", "mtorso", "utorso")  # of Atlas, from below
+DEMONSTRATOR = "demonstrator"
+_PRINTED = (DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's order
+_LIMBS = {"feet": "foot", "hand": "hand"}  # the paper's numbers, and what they are of
+_EQUAL_M = 0.005  # left and right are written as one number where they differ by less
+_SUITE_SPEED_M_S = 1.0  # what dm_control's own task asks for
+_N = 201  # points of a curve
+
+
+@style.applied()
+def figure_3a(motion: Motion, names: Sequence[str]) -> Figure:
+    """Draw Figure 3a: the demonstrator's walk on strokes a metre apart, the learners below it."""
+    points = motion.points
+    right = np.array([np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD), 0.0])
+    seen = points @ np.stack([right, [0.0, 0.0, 1.0]], axis=1)  # to the right and up, (T, P, 2)
+    rows: list[Any] = [["walk"] * len(names), list(names)]
+    figure = Figure(figsize=(style.WIDTH_IN, 5.9), layout="constrained")
+    panels = figure.subplot_mosaic(rows, height_ratios=[1, 1.2])
+    walk = panels["walk"]
+    low, high = demonstration.floor(walk, seen)
+    walk.set_ylim(min(low[1], -demonstration.MARGIN_M), high[1])
+    metre = float(right[0])  # as long as it is seen
+    strokes = np.arange(np.ceil(low[0] / metre), np.floor(high[0] / metre) + 1) * metre
+    walk.plot(strokes, np.zeros(len(strokes)), "|", ms=9, color=style.MUTED, zorder=0)
+    walk.set_axis_off()
+    look: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1, 1.12), "fontsize": 8}
+    walk.legend(handles=demonstration.handles("side"), ncols=2, **look)
+    shown = demonstration.equal_times(len(points), _N_POSES)
+    for rank, state in enumerate(shown, start=1):
+        demonstration.draw(walk, seen[state], alpha=0.35 + 0.65 * rank / _N_POSES)
+    way_m = float(np.linalg.norm(points[-1, 0, :2] - points[0, 0, :2]))
+    walk.set_title(f"The demonstrator: {way_m:.1f} m in {motion.duration_s:.1f} s")
+    for name in names:
+        panels[name].set(title=name, xticks=[], yticks=[])
+        panels[name].spines[:].set(visible=True, color=style.FAINT)
+        try:
+            panels[name].imshow(film.still(name, _PORTRAIT), interpolation="none")
+        except SilemError:
+            style.say(panels[name], "No picture: nothing can be\ndrawn offscreen here.")
+    return figure
 
 
 def posed(
@@ -113,8 +101,7 @@ def posed(
     return data, Landmarks(model, body.skeleton).points(data)
 
 
-def standing_head_m(body: MujocoBody) -> float:
-    """Return the height of a humanoid's head in its standing pose."""
+def _standing_head_m(body: MujocoBody) -> float:
     return float(posed(body, body.standing_pose)[1][POINTS.index("head"), 2])
 
 
@@ -125,7 +112,7 @@ def overview(names: Sequence[str]) -> pd.DataFrame:
         lengths = Limbs.of(posed(body)[1])
         rows[body.name] = {
             "mass (kg)": describe(body.name)["total_mass_kg"],
-            "head (m)": standing_head_m(body),
+            "head (m)": _standing_head_m(body),
             "leg (m)": lengths.leg,
             "left arm (m)": lengths.left_arm,
             "right arm (m)": lengths.right_arm,
@@ -144,9 +131,8 @@ def arms(first: str, second: str) -> pd.DataFrame:
 def strength() -> pd.DataFrame:
     """Compare the motors of Humanoid and Atlas, joint by joint.
 
-    Returns:
-        Torque at action 1 in N m, then the same over the body's weight times the length of its
-        leg, in per cent.
+    The columns are the torque at action 1 in N m, and that over the body's weight times the length
+    of its leg, in per cent.
     """
     table = pd.DataFrame(index=pd.Index(_ALIKE, name="joint"))
     shares = {}
@@ -161,23 +147,9 @@ def strength() -> pd.DataFrame:
 
 def heights(names: Sequence[str]) -> pd.DataFrame:
     """Return the heights of the head in m that the walking task goes by, a row per body."""
-    rows = {
-        body.name: {
-            "standing pose": standing_head_m(body),
-            "counts as standing from": body.standing_head_m,
-            "episode ends below": body.fall_head_m,
-        }
-        for body in map(body_of, names)
-    }
-    return pd.DataFrame(rows).T.rename_axis("height of the head (m)")
-
-
-# ---------------------------------------------------------------- limb distances
-
-DEMONSTRATOR = "demonstrator"
-_PRINTED = (DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's order
-_LIMBS = {"feet": "foot", "hand": "hand"}  # the paper's numbers, and what they are of
-_EQUAL_M = 0.005  # left and right are written as one number where they differ by less
+    columns = ("standing pose", "counts as standing from", "episode ends below")
+    rows = [(_standing_head_m(b), b.standing_head_m, b.fall_head_m) for b in map(body_of, names)]
+    return pd.DataFrame(rows, names, columns).rename_axis("height of the head (m)")
 
 
 def limb_distances_m(body: MujocoBody, qpos: Sequence[float] | None = None) -> dict[str, float]:
@@ -201,24 +173,21 @@ def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
         row = {("", "body"): body}
         for part, limb in _LIMBS.items():
             left, right = (limbs[f"{side}_{limb}"] for side in SIDES)
-            mean, equal = (left + right) / 2, abs(left - right) < _EQUAL_M
+            equal, printed = abs(left - right) < _EQUAL_M, _printed_m(part).get(body)
             both = f"{number(left, 2)} left, {number(right, 2)} right"
-            printed = _printed_m(part).get(body)
             heading = f"{'feet' if part == 'feet' else 'hands'} from the torso (m)"
             row[heading, "paper"] = number(printed, 2)
-            row[heading, "ours"] = number(mean, 2) if equal else both
-            row[heading, "difference"] = DASH if printed is None else _signed(mean - printed)
+            row[heading, "ours"] = number((left + right) / 2, 2) if equal else both
+            row[heading, "difference"] = style.DASH
+            if printed is not None:
+                off = round((left + right) / 2 - printed, 2) + 0.0  # never a negative zero
+                row[heading, "difference"] = "+" * (off > 0) + number(off, 2)
         rows.append(row)
-    columns = pd.MultiIndex.from_tuples(list(rows[0]))
-    return styled(pd.DataFrame([list(row.values()) for row in rows], columns=columns))
+    return styled(pd.DataFrame(rows))
 
 
 def gaps() -> dict[str, float]:
-    """Return by how much learners' limb distances differ from the demonstrator's, in m.
-
-    Returns:
-        ``paper_feet_Humanoid``, ``our_hand_Atlas`` and so on, by the paper's numbers and by ours.
-    """
+    """Return by how much limb distances differ from the demonstrator's: "our_hand_Atlas"."""
     found, differences = limb_distances(), {}
     for part, limb in _LIMBS.items():
         ours = {n: (d[f"left_{limb}"] + d[f"right_{limb}"]) / 2 for n, d in found.items()}
@@ -244,40 +213,26 @@ def _printed_m(part: str) -> dict[str, float]:
     return dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True))
 
 
-def _signed(value: float) -> str:
-    rounded = round(float(value), 2) + 0.0  # never a negative zero
-    return ("+" if rounded > 0 else "") + number(rounded, 2)
-
-
-# ---------------------------------------------------------------- the reward
-
-_SUITE_SPEED_M_S = 1.0  # what dm_control's own task asks for
-_N = 201  # points of a curve
-
-
+@style.applied()
 def reward_factors() -> Figure:
-    """Draw the reward's factors, each with the other three at their best, Humanoid's as example.
-
-    The curves are computed by the environments' own `silem.envs.mujoco.task.rewards`.
-    """
+    """Draw the factors of the environments' own reward, each with the others at their best."""
     body = bodies.of_kind("Humanoid", MujocoBody)
     head_m = np.linspace(0.0, 1.2 * body.standing_head_m, _N)
     tilt_rad = np.linspace(0.0, np.pi, _N)
     torque, speed_m_s = np.linspace(0.0, 1.0, _N), np.linspace(0.0, 2.5, _N)
-    with style.applied():
-        figure, (standing, upright, control, move) = style.new_figure(2.5, ncols=4, sharey=True)
-        standing.plot(head_m, _rewards(body, head_m=head_m), color=style.INK)
-        standing.axvspan(0.0, body.fall_head_m, color=style.FAINT, lw=0)
-        standing.set(title="Standing", xlabel="head's height (m)", ylabel="factor of the reward")
-        upright.plot(np.rad2deg(tilt_rad), _rewards(body, tilt_rad=tilt_rad), color=style.INK)
-        upright.set(title="Upright", xlabel="torso's tilt (degrees)", xticks=[0, 90, 180])
-        control.plot(torque, _rewards(body, torque=torque), color=style.INK)
-        control.set(title="Small control", xlabel="size of all actions")
-        for target, line in ((DEMONSTRATOR_SPEED_M_S, "-"), (_SUITE_SPEED_M_S, ":")):
-            rewards = _rewards(body, target, speed_m_s=speed_m_s)
-            move.plot(speed_m_s, rewards, line, color=style.INK, label=f"target {target:g} m/s")
-        move.set(title="Speed", xlabel="horizontal speed (m/s)", ylim=(0, 1.05))
-        move.legend(fontsize=7.5, loc="lower right")
+    figure, (standing, upright, control, move) = style.new_figure(2.5, ncols=4, sharey=True)
+    standing.plot(head_m, _rewards(body, head_m=head_m), color=style.INK)
+    standing.axvspan(0.0, body.fall_head_m, color=style.FAINT, lw=0)
+    standing.set(title="Standing", xlabel="head's height (m)", ylabel="factor of the reward")
+    upright.plot(np.rad2deg(tilt_rad), _rewards(body, tilt_rad=tilt_rad), color=style.INK)
+    upright.set(title="Upright", xlabel="torso's tilt (degrees)", xticks=[0, 90, 180])
+    control.plot(torque, _rewards(body, torque=torque), color=style.INK)
+    control.set(title="Small control", xlabel="size of all actions")
+    for target, line in ((DEMONSTRATOR_SPEED_M_S, "-"), (_SUITE_SPEED_M_S, ":")):
+        rewards = _rewards(body, target, speed_m_s=speed_m_s)
+        move.plot(speed_m_s, rewards, line, color=style.INK, label=f"target {target:g} m/s")
+    move.set(title="Speed", xlabel="horizontal speed (m/s)", ylim=(0, 1.05))
+    move.legend(fontsize=7.5, loc="lower right")
     return figure
 
 
@@ -292,22 +247,15 @@ def _rewards(
     axes[:, 2, 2] = np.cos(state["tilt_rad"])
     velocity[:, 0] = state["speed_m_s"]
     actions = np.zeros((_N, 1)) + np.reshape(state["torque"], (-1, 1))
-    reading = Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
+    reading = walking.Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
     return walking.rewards(reading, actions, body.standing_head_m, target_m_s)
-
-
-# ---------------------------------------------------------------- falls
 
 
 def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) -> film.Clip:
     """Film humanoids that start as in an episode and have no policy, side by side, in real time.
 
     Unlike an episode, the film goes on when they have fallen. Every motor gets a random share of
-    its greatest torque, uniformly from -torque to torque, anew at every control step.
-
-    Raises:
-        SilemError: The duration is not positive, the torque is not from 0 (all joints limp) to 1,
-            or nothing can be drawn offscreen here.
+    its greatest torque, uniformly from -torque to torque, 0 to 1, anew at every control step.
     """
     if not (duration_s > 0 and 0 <= torque <= 1):
         raise SilemError(
@@ -322,9 +270,8 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
         for _ in range(round(duration_s / body.control_step_s)):
             simulation.advance(rng.uniform(-torque, torque, (1, body.action_size)))
             states.append(simulation.read().qpos[0])
-        clips[body.name] = film.motion(
-            body, np.stack(states), 1 / body.control_step_s, size=film.PANEL
-        )
+        rate_hz = 1 / body.control_step_s
+        clips[body.name] = film.motion(body, np.stack(states), rate_hz, size=film.PANEL)
     return film.grid(clips)
 
 

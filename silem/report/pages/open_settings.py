@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 
 from silem import bodies
 from silem.report import results, style, tables
+from silem.report.curves import QUANTITIES
+from silem.report.style import number
 from silem.study.config import RunConfig
 from silem.study.record import TRANSFORM
 from silem.study.settings import BUDGETS, HyperParameters
@@ -43,15 +44,6 @@ _NAMES = {
     "log_std_init": "first std",
     "starts": "starts",
 }
-_QUANTITIES = {
-    "return_mean": ("return of an episode", 0),
-    "episode_length": ("steps before a fall", 0),
-    "speed_m_s": ("forward speed (m/s)", 2),
-    "disc_reward": ("discriminator reward", 0),
-}
-
-
-# ---------------------------------------------------------------- the study
 
 
 def settings(frame: pd.DataFrame) -> pd.DataFrame:
@@ -85,12 +77,12 @@ def found(frame: pd.DataFrame) -> Styler:
     """
     rows = []
     for run in settings(frame).to_dict("records"):
-        mean = tables.number(run["score"], 2)
+        mean = number(run["score"], 2)
         rows.append(
             {
                 "method": _label(results.body_names(frame)[0], run["method"]),
                 "setting": ("→ " if run["in_use"] else "") + run["setting"],
-                **{body: tables.number(run[body], 2) for body in results.body_names(frame)},
+                **{body: number(run[body], 2) for body in results.body_names(frame)},
                 "mean": f"<strong>{mean}</strong>" if run["near"] else mean,
             }
         )
@@ -107,19 +99,16 @@ def says(frame: pd.DataFrame) -> str:
         text = f"{name}: {len(known)} of {len(tried)} settings have their runs on both bodies"
         if len(known):
             best = known.loc[known["score"].idxmax()]
-            text += f"; the best is {best['setting']}, {tables.number(best['score'], 2)}"
+            text += f"; the best is {best['setting']}, {number(best['score'], 2)}"
             used = known.loc[known["in_use"], "score"]
             if len(used) and not best["in_use"]:
-                text += f" ({tables.number(used.max(), 2)} in use)"
+                text += f" ({number(used.max(), 2)} in use)"
         sentences.append(f"{text}.")
     return " ".join(sentences)
 
 
 def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
-    """Return how far T's entries can go: Adam's steps are about as long as its rate.
-
-    The rate is multiplied by d after each iteration, and an iteration makes N_G steps.
-    """
+    """Return how far T's entries can go: Adam's steps are about as long as its rate."""
     iterations = np.arange(n_iterations)
     rates = hyper.transform_learning_rate * hyper.transform_lr_decay**iterations
     return float(hyper.n_transform_updates * rates.sum())
@@ -150,7 +139,7 @@ def travel_says(table: pd.DataFrame) -> str:
     return (
         f"Of {len(table)} transforms {int((largest > 0.9).sum())} went to their bound, or within a"
         f" tenth of it; the median of the largest entries lies at"
-        f" {tables.number(100 * largest.median())} % of it."
+        f" {number(100 * largest.median())} % of it."
     )
 
 
@@ -162,14 +151,11 @@ def travel_table(table: pd.DataFrame) -> pd.DataFrame:
         for entry, title in (("A", "largest |A − 1|"), ("b", "largest |b|")):
             row[title] = f"{runs[entry].median():.2g}, at most {runs[entry].max():.2g}"
         rows.append(row)
-    return pd.DataFrame(rows or [{"body": tables.DASH, "runs": "no run"}])
+    return pd.DataFrame(rows or [{"body": style.DASH, "runs": "no run"}])
 
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
-    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text.
-
-    The runs are those of the studies "halfcheetah" and "no-gradient-penalty" at one budget.
-    """
+    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
     rows = []
     for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
         for penalty, frame in (("yes", penalised), ("no", unpenalised)):
@@ -177,21 +163,14 @@ def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.Data
             row = {"body": body, "method": _label(body, method), "penalty": penalty}
             row["trials"] = str(len(runs)) if len(runs) else "no run"
             for name in ("return_mean", "disc_reward", "speed_m_s"):
-                heading, digits = _QUANTITIES[name]
-                row[heading] = tables.number(runs[name].mean(), digits)
+                heading, digits = QUANTITIES[name]
+                row[heading] = number(runs[name].mean(), digits)
             rows.append(row)
     return pd.DataFrame(rows)
 
 
-# ---------------------------------------------------------------- the history
-
-
 def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
-    """Return a family's exploratory runs of ``data/search``, of one method or of all.
-
-    Raises:
-        SilemError: The family is unknown, the file is missing, or an entry lacks something.
-    """
+    """Return a family's exploratory runs of ``data/search``, of one method or of all."""
     choose("family", family, ("halfcheetah", "humanoids"))
     path = paths.REPO / "data" / "search" / f"{family}.json"
     rows = []
@@ -211,11 +190,7 @@ def prototype() -> pd.DataFrame:
 
 
 def at(frame: pd.DataFrame, name: str, iteration: int, quantity: str) -> float:
-    """Return one number of one exploratory run, for a sentence.
-
-    Raises:
-        SilemError: There is no such run, or its curve has no such row.
-    """
+    """Return one number of one exploratory run, for a sentence; SilemError if it has none."""
     runs = dict(zip(frame["name"], frame["curve"], strict=True))
     curve = runs[choose("exploratory run", name, runs)].set_index("iteration")
     if iteration not in curve.index:
@@ -233,47 +208,25 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for run in ordered.to_dict("records"):
         told = {"body": run["body"], "method": _label(run["body"], run["method"])}
-        row = {"run": run["name"]} | {n: v for n, v in told.items() if frame[n].nunique() > 1}
+        row = {"run": run["name"].replace("_", "_<wbr>")}
+        row |= {name: value for name, value in told.items() if frame[name].nunique() > 1}
         row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
-        for name, (heading, digits) in _QUANTITIES.items():
+        for name, (heading, digits) in QUANTITIES.items():
             if name in last and last[name].notna().any():
-                row[heading] = tables.number(run[name], digits)
+                row[heading] = number(run[name], digits)
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def curves(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
-    """Draw exploratory runs over iterations, a panel per quantity; `table` says what each set.
-
-    Raises:
-        SilemError: There is no such quantity.
-    """
-    titles = [_QUANTITIES[choose("quantity", name, _QUANTITIES)][0] for name in quantities]
-    with style.applied():
-        figure, panels = style.new_figure(
-            3.0 + 0.1 * len(frame), ncols=len(quantities), squeeze=False
-        )
-        for axes, quantity, title in zip(panels[0], quantities, titles, strict=True):
-            for index, run in enumerate(frame.itertuples()):
-                known = run.curve[["iteration", quantity]].dropna()
-                look = {"color": f"C{index % 10}", "ls": ("-", (0, (5, 2)))[index // 10 % 2]}
-                axes.plot(known["iteration"], known[quantity], lw=1.3, label=run.name, **look)
-            axes.set(title=title, xlabel="iteration")
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper left", ncols=3, fontsize=8)
-        style.footer(figure, f"{len(frame)} exploratory runs, one seed each; not evidence")
-    return figure
 
 
 def _written(name: str, value: Any) -> str:
     if isinstance(value, str):
         return value
     if pd.isna(value):
-        return tables.DASH
+        return style.DASH
     return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}".replace("e-0", "e-")
 
 
 def _label(body: str, method: str) -> str:
     original = "" if bodies.get(body).family == "humanoid" else "HC0"
-    return style.method(method, original).label.partition(" (")[0]
+    return style.method(method, original, short=True).label

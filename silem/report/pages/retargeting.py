@@ -31,14 +31,14 @@ from silem.motion.retargeting import (
     standing_feet,
     targets,
 )
-from silem.report import film, stick_figure, style
-from silem.report.stick_figure import MARGIN_M, SIDE_COLORS
+from silem.report import film, style
+from silem.report.pages import demonstration
+from silem.report.pages.demonstration import SIDE_COLORS
 from silem.study.config import RunConfig
 from silem.study.settings import HUMAN
 
 _N_POSES = 5
 _TOP_JOINTS = 8
-_DASHES = (0, (4, 3))
 _LINES = {
     "left hand": (SIDE_COLORS["left"], ("left_hand",)),
     "right hand": (SIDE_COLORS["right"], ("right_hand",)),
@@ -51,10 +51,7 @@ _OUTWARDS = {"left": 1.0, "right": -1.0}  # along the torso's axis to the left
 
 
 def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> film.Clip:
-    """Film the start of the demonstrator's motion, and it on other bodies, side by side.
-
-    No physics acts: each body is put into one pose after the other.
-    """
+    """Film the start of the demonstrator's motion, and it on other bodies; no physics acts."""
     walks = {"the man": (film.man(), human.qpos)}
     walks |= {result.body: (learner(result.body), result.qpos) for result in results}
     clips = {
@@ -64,99 +61,87 @@ def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> fil
     return film.grid(clips, n_columns=len(clips))
 
 
-# ---------------------------------------------------------------- figures
-
-
+@style.applied()
 def poses(human: Motion, result: IKResult) -> Figure:
-    """Draw poses of the demonstrator and of a learner with its hands' targets, seen from the right.
-
-    A ring around each target has the tolerance as its radius: a hand outside it has not arrived.
-    """
-    states = stick_figure.equal_times(len(human.points), _N_POSES)
+    """Draw poses of the man and of a learner, a ring of the tolerance where its hands should be."""
+    states = demonstration.equal_times(len(human.points), _N_POSES)
     walks = {"the man": human.points, result.body: result.points}
-    seen = stick_figure.from_the_right(np.concatenate(list(walks.values())))
-    low, high = seen.min(axis=(0, 1)) - MARGIN_M, seen.max(axis=(0, 1)) + MARGIN_M
-    with style.applied():
-        ratio = (high[1] - low[1]) / (high[0] - low[0])
-        figure, grid = style.new_figure(2 * style.WIDTH_IN * ratio + 0.6, nrows=2, sharex=True)
-        for axes, (name, points) in zip(grid, walks.items(), strict=True):
-            axes.set(xlim=(low[0], high[0]), ylim=(-0.1, high[1]), aspect="equal")
-            axes.set(title=name, ylabel="z, up (m)")
-            axes.axhline(0.0, color=style.MUTED, lw=1)
-            for state in states:
-                stick_figure.draw(axes, stick_figure.from_the_right(points[state]))
-        wanted = stick_figure.from_the_right(hand_targets(human, result)[states])
-        for places, color in zip(wanted.swapaxes(0, 1), SIDE_COLORS.values(), strict=True):
-            for place in places:
-                ring = Circle(place, TOLERANCE_M, fill=False, ec=color, lw=1.2, zorder=5)
-                grid[1].add_patch(ring)
-        grid[1].set_xlabel("x, forward (m)")
-        figure.legend(handles=stick_figure.handles("side"), loc="outside upper left", ncols=2)
+    seen = demonstration.from_the_right(np.concatenate(list(walks.values())))
+    width_m, height_m = np.ptp(seen, axis=(0, 1)) + 2 * demonstration.MARGIN_M
+    height_in = 2 * style.WIDTH_IN * height_m / width_m + 0.6
+    figure, grid = style.new_figure(height_in, nrows=2, sharex=True)
+    for axes, (name, points) in zip(grid, walks.items(), strict=True):
+        demonstration.floor(axes, seen)
+        axes.set(title=name, ylabel="z, up (m)")
+        for state in states:
+            demonstration.draw(axes, demonstration.from_the_right(points[state]))
+    wanted = demonstration.from_the_right(hand_targets(human, result)[states])
+    for places, color in zip(wanted.swapaxes(0, 1), SIDE_COLORS.values(), strict=True):
+        for place in places:
+            ring = Circle(place, TOLERANCE_M, fill=False, ec=color, lw=1.2, zorder=5)
+            grid[1].add_patch(ring)
+    grid[1].set_xlabel("x, forward (m)")
+    figure.legend(handles=demonstration.handles("side"), loc="outside upper left", ncols=2)
     return figure
 
 
+@style.applied()
 def residuals(results: Sequence[IKResult]) -> Figure:
     """Draw over time how far each landmark is from its target, one panel per body."""
-    with style.applied():
-        rows = len(results)
-        figure, grid = style.new_figure(
-            0.8 + 1.45 * rows, nrows=rows, sharex=True, sharey=True, squeeze=False
-        )
-        for axes, result in zip(grid.flat, results, strict=True):
-            time_s = np.arange(len(result.residuals)) / result.rate_hz
-            for color, names in _LINES.values():
-                worst = result.residuals[:, [TARGETS.index(name) for name in names]].max(axis=1)
-                axes.plot(time_s, 1000 * worst, color=color, lw=1.5)
-            axes.axhline(1000 * TOLERANCE_M, color=style.MUTED, lw=1.2, ls=_DASHES)
-            axes.set(title=result.body, ylabel="mm", xlim=(0, time_s[-1]))
-        axes.set_ylim(bottom=-2)
-        axes.set_xlabel("time (s)")
-        lines = [style.handle(color, label, lw=1.8) for label, (color, _) in _LINES.items()]
-        label = f"tolerance, {1000 * TOLERANCE_M:.0f} mm"
-        lines.append(style.handle(style.MUTED, label, lw=1.2, ls=_DASHES))
-        figure.legend(handles=lines, loc="outside upper left", ncols=5, columnspacing=1.2)
+    size: dict[str, Any] = {"nrows": len(results), "sharex": True, "sharey": True}
+    figure, grid = style.new_figure(0.8 + 1.45 * len(results), squeeze=False, **size)
+    for axes, result in zip(grid.flat, results, strict=True):
+        time_s = np.arange(len(result.residuals)) / result.rate_hz
+        for color, names in _LINES.values():
+            worst = result.residuals[:, [TARGETS.index(name) for name in names]].max(axis=1)
+            axes.plot(time_s, 1000 * worst, color=color, lw=1.5)
+        axes.axhline(1000 * TOLERANCE_M, color=style.MUTED, lw=1.2, ls=style.DASHED)
+        axes.set(title=result.body, ylabel="mm", xlim=(0, time_s[-1]))
+    axes.set_ylim(bottom=-2)
+    axes.set_xlabel("time (s)")
+    lines = [style.handle(color, label, lw=1.8) for label, (color, _) in _LINES.items()]
+    label = f"tolerance, {1000 * TOLERANCE_M:.0f} mm"
+    lines.append(style.handle(style.MUTED, label, lw=1.2, ls=style.DASHED))
+    figure.legend(handles=lines, loc="outside upper left", ncols=5, columnspacing=1.2)
     return figure
 
 
+@style.applied()
 def joint_limits(results: Sequence[IKResult]) -> Figure:
     """Draw in which share of the frames joints are at a limit: of each body the foremost ones."""
-    with style.applied():
-        figure, grid = style.new_figure(2.9, ncols=len(results), sharex=True, squeeze=False)
-        for axes, result in zip(grid.flat, results, strict=True):
-            shares = 100 * pd.Series(result.at_limit.mean(axis=0), result.joint_names)
-            top = shares[shares > 0].nlargest(_TOP_JOINTS)
-            axes.barh(range(len(top)), top, color=[stick_figure.side_color(n) for n in top.index])
-            axes.set_yticks(range(len(top)), top.index)
-            axes.set_ylim(_TOP_JOINTS - 0.4, -0.6)  # the most frequent one on top
-            axes.set(title=result.body, xlabel="frames (%)")
-            axes.grid(axis="x")
-            axes.grid(visible=False, axis="y")
-        figure.legend(handles=stick_figure.handles("side"), loc="outside upper left", ncols=2)
+    figure, grid = style.new_figure(2.9, ncols=len(results), sharex=True, squeeze=False)
+    for axes, result in zip(grid.flat, results, strict=True):
+        shares = 100 * pd.Series(result.at_limit.mean(axis=0), result.joint_names)
+        top = shares[shares > 0].nlargest(_TOP_JOINTS)
+        axes.barh(range(len(top)), top, color=[demonstration.side_color(n) for n in top.index])
+        axes.set_yticks(range(len(top)), top.index)
+        axes.set_ylim(_TOP_JOINTS - 0.4, -0.6)  # the most frequent one on top
+        axes.set(title=result.body, xlabel="frames (%)")
+        axes.grid(axis="x")
+        axes.grid(visible=False, axis="y")
+    figure.legend(handles=demonstration.handles("side"), loc="outside upper left", ncols=2)
     return figure
 
 
+@style.applied()
 def foot_skate(human: Motion, results: Sequence[IKResult]) -> Figure:
     """Draw the horizontal speed of each ankle while the man's stands, his own behind it."""
     own = _own_skate(human)
     time_s = np.arange(len(own)) / human.rate_hz
-    with style.applied():
-        figure, grid = style.new_figure(2.5, ncols=len(results), sharey=True, squeeze=False)
-        for axes, result in zip(grid.flat, results, strict=True):
-            for side, his, speeds in zip(SIDES, own.T, result.foot_skate_m_s.T, strict=True):
-                color = SIDE_COLORS[side]
-                axes.plot(time_s, his, color=color, lw=4, alpha=0.3, solid_capstyle="butt")
-                axes.plot(time_s, speeds, color=color, lw=1.4)
-            axes.set(title=result.body, xlabel="time (s)", xlim=(0, time_s[-1]))
-            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        grid[0, 0].set_ylabel("m/s")
-        handles = stick_figure.handles("foot")
-        handles.append(style.handle(style.MUTED, "on the learner", lw=1.4))
-        handles.append(style.handle(style.MUTED, "the man's own", lw=4, alpha=0.4))
-        figure.legend(handles=handles, loc="outside upper left", ncols=4)
+    figure, grid = style.new_figure(2.5, ncols=len(results), sharey=True, squeeze=False)
+    for axes, result in zip(grid.flat, results, strict=True):
+        for side, his, speeds in zip(SIDES, own.T, result.foot_skate_m_s.T, strict=True):
+            color = SIDE_COLORS[side]
+            axes.plot(time_s, his, color=color, lw=4, alpha=0.3, solid_capstyle="butt")
+            axes.plot(time_s, speeds, color=color, lw=1.4)
+        axes.set(title=result.body, xlabel="time (s)", xlim=(0, time_s[-1]))
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    grid[0, 0].set_ylabel("m/s")
+    handles = demonstration.handles("foot")
+    handles.append(style.handle(style.MUTED, "on the learner", lw=1.4))
+    handles.append(style.handle(style.MUTED, "the man's own", lw=4, alpha=0.4))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4)
     return figure
-
-
-# ---------------------------------------------------------------- tables
 
 
 def limb_ratios(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
@@ -168,13 +153,12 @@ def limb_ratios(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
 
 
 def hands(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
-    """Return how far each learner's hands stay from their targets, and why.
+    """Return how far each learner's hands stay from their targets, and why: a row per hand.
 
-    Returns:
-        One row per hand. The columns from "beyond" on are over the frames in which the hand is
-        further from its target than the tolerance: their share, by how much the hand is too far
-        forward and outward in the torso's frame, and the shares in which the target is behind the
-        shoulder and in which a joint of this arm is at a limit.
+    The columns from "beyond" on are over the frames in which the hand is further from its target
+    than the tolerance: their share, by how much the hand is too far forward and outward in the
+    torso's frame, and the shares in which the target is behind the shoulder and in which a joint
+    of this arm is at a limit.
     """
     return pd.DataFrame([_hand(human, result, side) for result in results for side in SIDES])
 
@@ -218,10 +202,7 @@ def foot_skates(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
 
 
 def starts(results: Sequence[IKResult]) -> pd.DataFrame:
-    """Return what a SILEM run's body changes in the retargeted states to start from them.
-
-    That is in how many of them a joint is put to its limit, how far, and the lift, at most.
-    """
+    """Return what a SILEM run's body changes in the retargeted states to start from them."""
     rows = []
     for result in results:
         body = body_of(RunConfig.create(result.body, "silem").learner)

@@ -1,4 +1,4 @@
-"""The page about walking: Figure 3b, the humanoids' runs read as gaits, and their films.
+"""The page about walking: the humanoids' runs read as gaits, in tables, sentences and pictures.
 
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
@@ -7,97 +7,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import chain, zip_longest
-from typing import Any
 
 import pandas as pd
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter
 
-from silem import bodies, paper
+from silem import bodies
 from silem.bodies import MujocoBody
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.report import film, notebook, results, style, tables
+from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
-from silem.report.figures import cells, sources
-from silem.report.figures.sources import COMPARED
+from silem.report.curves import QUANTITIES
+from silem.report.style import number
 
-# ---------------------------------------------------------------- Figure 3b
-
-_DOTTED = (0, (1, 1.5))  # the demonstrator
-_MAX_RETURN = paper.number("humanoid_max_return")
-
-
-_PANELS = {
-    "return_mean": ("True return of an episode: minimum, mean, maximum over trials", _MAX_RETURN),
-    "upright": ("Share of steps survived", 1.0),
-    "speed_m_s": ("Speed (m/s)", DEMONSTRATOR_SPEED_M_S),
-}
-"""Columns of the table, each with its panel's title and the highest value on its scale."""
-
-
-def humanoid_scores(frame: pd.DataFrame) -> Figure:
-    """Draw Figure 3b: the true return of SILEM, SILEM⁻, TPIL and Peng20 on every humanoid.
-
-    Above as in the paper: minimum, mean and maximum over trials of the walking reward, not
-    normalised, at most 1000. Below what that number hides: how much of an episode passes before
-    the body falls, and how fast it moves. Dashed levels are PPO on the true reward. A single trial
-    is hollow, a cell without runs is an empty slot, and a run of another number of iterations than
-    planned is a cross, with that number under its cell; crosses enter no mean.
-
-    Raises:
-        SilemError: The runs are not of humanoids.
-    """
-    frame = sources.runs_of("humanoid_scores", frame)
-    with style.applied():
-        figure = Figure(figsize=(style.WIDTH_IN, 5.6), layout="constrained")
-        rows: list[Any] = [["return_mean", "return_mean"], ["upright", "speed_m_s"]]
-        panels = figure.subplot_mosaic(rows, height_ratios=[1.4, 1])
-        for column, (title, top) in _PANELS.items():
-            axes, first = panels[column], column == "return_mean"
-            axes.set_title(title)
-            cells.body_ticks(axes, frame, scale="PPO" if first else "")
-            cells.levels(axes, frame, "ppo", column, 1.05 * top)
-            cells.draw_cells(axes, frame, COMPARED, column, counts=first, means=first)
-            cells.room_for_counts(axes, 0.0, 1.04 * top, 0.18 if first else 0.04)
-        score, survived, speed = panels.values()
-        score.axhline(_MAX_RETURN, color=style.PAPER, lw=1.5, zorder=1.5)
-        score.yaxis.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
-        speed.axhline(DEMONSTRATOR_SPEED_M_S, color=style.INK, lw=1.5, ls=_DOTTED)
-        for axes in (survived, speed):
-            axes.tick_params(axis="x", labelsize=8)
-        figure.legend(handles=_handles(frame), loc="outside upper left", ncols=4)
-        other = "; ×: a run of another number of iterations, written below it; outside every mean"
-        note = cells.interval_note(frame, COMPARED, "return_mean")
-        note += other if frame["stand_in"].any() else ""
-        sources.footer(figure, frame, note)
-    return figure
-
-
-def _handles(frame: pd.DataFrame) -> list[Line2D]:
-    """Return the legend's entries, the methods in its first row and the levels in its second."""
-    original = results.original_body(frame)
-    marks = cells.handles([style.method(method, original) for method in COMPARED])
-    speed = f"demonstrator, {DEMONSTRATOR_SPEED_M_S:g} m/s"
-    ppo = style.method("ppo", original).label
-    levels = [
-        style.handle(style.MUTED, ppo, lw=1.2, ls=cells.LEVEL_DASHES),
-        style.handle(style.PAPER, "highest possible return", lw=1.5),
-        style.handle(style.INK, speed, lw=1.5, ls=_DOTTED),
-        *([cells.cross_handle()] if frame["stand_in"].any() else []),
-    ]
-    # a legend fills its columns first
-    return [entry for entry in chain.from_iterable(zip_longest(marks, levels)) if entry is not None]
-
-
-# ---------------------------------------------------------------- gaits
+FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
+"""The methods that are filmed, in their order on the page."""
 
 WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
 STANDS, FALLS = "stands", "falls"
 
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
+_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
+_SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
+_MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
+_SIZE = 320, 300  # pixels of a picture in the strip
 
 
 def gait(survived: float, speed_m_s: float) -> str:
@@ -130,42 +62,26 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return, as text, how the policies of some tables of runs move, a row per cell.
-
-    Tables go by what to call them; of a single one the name is left out.
-    """
+    """Return, as text, how the policies of some tables of runs, by name, move: a row per cell."""
     rows = [
         {
             "body": found.body,
             "method": style.method(found.method, "").label,
             "runs": name,
-            "iterations": style.number(found.n_iterations),
-            "trials": style.number(found.trials),
-            "steps survived": style.number(MAX_STEPS * found.survived),
-            "seconds": tables.number(found.survived_s, 1),
-            "speed (m/s)": tables.number(found.speed_m_s, 2),
-            "of the man's speed": f"{style.number(100 * found.speed_share)} %",
-            "ground covered, about (m)": tables.number(found.survived_s * found.speed_m_s, 1),
+            "iterations": number(found.n_iterations),
+            "trials": number(found.trials),
+            "steps survived": number(MAX_STEPS * found.survived),
+            "seconds": number(found.survived_s, 1),
+            "speed (m/s)": number(found.speed_m_s, 2),
+            "of the man's speed": f"{number(100 * found.speed_share)} %",
+            "ground covered, about (m)": number(found.survived_s * found.speed_m_s, 1),
             "gait": found.gait,
         }
         for name, frame in groups.items()
         for found in gaits(frame).itertuples()
     ]
-    table = pd.DataFrame(rows or [{"body": "no run", "method": tables.DASH, "gait": tables.DASH}])
+    table = pd.DataFrame(rows or [{"body": "no run", "method": style.DASH, "gait": style.DASH}])
     return table.drop(columns="runs", errors="ignore") if len(groups) == 1 else table
-
-
-# ---------------------------------------------------------------- sentences
-
-_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
-_SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
-_MILESTONES = {
-    "return_mean": ("return", 0),
-    "episode_length": ("steps before a fall", 0),
-    "speed_m_s": ("speed (m/s)", 2),
-    "disc_reward": ("reward of D", 0),
-    "policy_std": ("policy's std", 2),
-}
 
 
 def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
@@ -174,7 +90,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
     rising = _rises(frame)
     said: dict[str, str | float] = {"n_cells": len(found)}
-    said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": tables.DASH}
+    said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": style.DASH}
     said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
     best = {"survived_s": math.nan, "speed_m_s": math.nan, "speed_share": math.nan}
     if len(found):
@@ -186,10 +102,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
 
 
 def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> dict[str, float]:
-    """Return one cell's numbers, ``<name>_steps``, ``_share`` and ``_iterations``.
-
-    They are means over its trials, over stand-ins where none is finished, and NaN without any run.
-    """
+    """Return one cell's numbers, ``<name>_steps`` and so on: means, of stand-ins if need be."""
     runs = results.cell(frame, method, body)
     runs = runs if len(runs) else results.stand_ins(frame, method, body)
     return {
@@ -222,12 +135,14 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     if not run_id:
         return pd.DataFrame([{"iterations": "no run"}])
     curve, rows = results.load_curve(run_id), []
+    headings = QUANTITIES | {"policy_std": ("policy's standard deviation", 2)}
     for share in _SHARES:
         part = _just_before(curve, share)
-        row = {"iterations": style.number(share * curve["iteration"].max())}
-        for name, (heading, digits) in _MILESTONES.items():
-            row[heading] = tables.number(part[name], digits)
-        row["reward of D per step"] = tables.number(part["disc_reward"] / part["episode_length"], 2)
+        row = {"iterations": number(share * curve["iteration"].max())}
+        for name in _MILESTONES:
+            heading, digits = headings[name]
+            row[heading] = number(part[name], digits)
+        row["reward of D per step"] = number(part["disc_reward"] / part["episode_length"], 2)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -258,14 +173,6 @@ def _rises(frame: pd.DataFrame) -> list[bool]:
 
 def _whole(value: float) -> float:
     return math.nan if math.isnan(value) else round(value)
-
-
-# ---------------------------------------------------------------- films
-
-FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
-"""The methods that are filmed, in their order on the page."""
-
-_SIZE = 320, 300  # pixels of a picture in the strip
 
 
 def show_strip(run_id: str, duration_s: float) -> None:
