@@ -16,14 +16,15 @@ import numpy as np
 import pybullet
 
 from benchmarks.measurement import Batched, Measurement, Row, Single
-from silem.envs import BulletEnv, BulletVecEnv
+from silem.envs import BatchedEnv, SingleEnv
+from silem.envs.bullet import Simulation
 
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 N_CLIENTS = (1, 4, 8)
 TARGET_TIMES_PEER = 2.3
 
 
-class Raw(Batched[BulletVecEnv]):
+class Raw(Batched):
     """PyBullet alone, on the same clients: torques set, simulation stepped, nothing read."""
 
     def run(self, actions: np.ndarray) -> None:
@@ -31,7 +32,9 @@ class Raw(Batched[BulletVecEnv]):
         control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
         mode = pybullet.TORQUE_CONTROL
         strengths = [motor.torque_n_m for motor in self.env.body.motors]
-        clients = [(sim.robot, sim.joints, sim.client) for sim in self.env.simulators]
+        simulation = self.env.simulation
+        assert isinstance(simulation, Simulation)
+        clients = [(each.robot, each.joints, each.client) for each in simulation.clients]
         for torques in (actions * strengths).tolist():
             for (robot, joints, client), forces in zip(clients, torques, strict=True):
                 control(robot, joints, mode, forces=forces, physicsClientId=client)
@@ -40,12 +43,12 @@ class Raw(Batched[BulletVecEnv]):
 
 def measurement(body: str, clients: Sequence[int] = N_CLIENTS) -> Measurement:
     """Make all contenders of a body, ours and raw with each number of clients."""
-    single = BulletEnv(body)
+    single = SingleEnv(body)
     return Measurement(
         body,
         single.body.action_size,
-        [Row("raw stepSimulation", n, Raw(BulletVecEnv(body, n))) for n in clients],
-        [Row("silem.make_vec", n, Batched(BulletVecEnv(body, n))) for n in clients],
+        [Row("raw stepSimulation", n, Raw(BatchedEnv(body, n))) for n in clients],
+        [Row("silem.make_vec", n, Batched(BatchedEnv(body, n))) for n in clients],
         [Row(f"gymnasium silem/{body}-v0", 1, Single(single))],
         Row(f"gymnasium {PEERS[body]}", 1, Single(_peer(body))),
         TARGET_TIMES_PEER,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -13,8 +13,6 @@ import numpy as np
 from silem.envs import BatchedEnv
 
 STEPS = 200  # per environment and repetition
-
-Env = TypeVar("Env", bound=BatchedEnv)
 
 
 class Contender(Protocol):
@@ -27,10 +25,10 @@ class Contender(Protocol):
         """Step through (T, E, A) actions."""
 
 
-class Batched(Generic[Env]):
+class Batched:
     """One of our batched environments."""
 
-    def __init__(self, env: Env) -> None:
+    def __init__(self, env: BatchedEnv) -> None:
         """Keep the environment."""
         self.env = env
 

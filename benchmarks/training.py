@@ -25,7 +25,7 @@ from tqdm import tqdm
 import silem
 from benchmarks import bullet, humanoids
 from silem import bodies
-from silem.envs import BulletVecEnv
+from silem.envs import BatchedEnv
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import RunConfig
 from silem.study.training import make_model
@@ -45,7 +45,7 @@ def raw_simulation(config: RunConfig) -> Contestant:
     body = bodies.get(config.body)
     raw: bullet.Raw | humanoids.Raw
     if body.engine == "bullet":
-        raw = bullet.Raw(BulletVecEnv(body, budget.n_envs))
+        raw = bullet.Raw(BatchedEnv(body, budget.n_envs))
     else:
         raw = humanoids.Raw(config.body, budget.n_envs)
     rng = np.random.default_rng(0)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down
 
 import silem.util.offscreen  # noqa: F401  before anything imports MuJoCo
-from silem import bodies, envs  # noqa: F401  environments' ids are registered there
-from silem.bodies import own
+from silem import bodies, envs  # noqa: F401  environments' ids are registered by the bodies
 
 if TYPE_CHECKING:
     from silem.algorithms import PPO, SILEM, TPIL, GAIfO, load_policy
@@ -56,4 +55,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-own.load_installed()
+bodies.load_installed()

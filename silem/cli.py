@@ -16,7 +16,6 @@ from typing import Any, NoReturn
 
 import silem
 from silem import bodies
-from silem.bodies import own
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import RECORD, RunRecord
@@ -62,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 if options.with_input:
                     runs.stop_with_input()
                 for module in options.modules:
-                    own.load(module)
+                    bodies.load(module)
                 options.command(options)
             finally:
                 sys.stdout.flush()  # while a closed pipe can still be answered for

@@ -1,16 +1,14 @@
 """The tanh MLP actor-critic of PPO in NumPy, on the memory of the torch policy.
 
-A PPO update is hundreds of tiny matrix products, and autograd's bookkeeping costs several
-times the arithmetic. Here forward pass, gradient and Adam are written out on one flat vector.
-The torch parameters and Adam's moments are views of the same memory, so everything
-stable-baselines3 does with the policy (predict, save, load) sees every step at once.
+A PPO update is hundreds of tiny matrix products, and autograd's bookkeeping costs several times the
+arithmetic. Here forward pass, gradient and Adam are written out on one flat vector;
+`PPO._refresh_twin` says how it and torch share their memory.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch as th
@@ -27,102 +25,82 @@ _ADAM_STATE = ("step", "exp_avg", "exp_avg_sq")
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """B transitions for PPO, a minibatch or a rollout; observations are already normalised."""
 
-    observations: np.ndarray  # (B, O)
-    actions: np.ndarray  # (B, A)
-    old_log_probs: np.ndarray  # (B,)
-    advantages: np.ndarray  # (B,)
-    returns: np.ndarray  # (B,)
+    observations: np.ndarray  #: (B, O)
+    actions: np.ndarray  #: (B, A)
+    old_log_probs: np.ndarray  #: (B,)
+    advantages: np.ndarray  #: (B,)
+    returns: np.ndarray  #: (B,)
 
 
-@dataclass(frozen=True)
-class Losses:
-    """What PPO logs of one minibatch."""
+class Losses(NamedTuple):
+    """What PPO logs of one minibatch, under stable-baselines3's names."""
 
-    policy: float
-    value: float
+    policy_gradient_loss: float
+    value_loss: float
     approx_kl: float
     clip_fraction: float
 
 
 class _Tower:
-    """A tanh MLP with a linear head; weights and gradients are views into flat vectors."""
+    """A tanh MLP with a linear head; its layers' arrays are views into flat vectors."""
 
-    def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]]) -> None:
-        self.weights = [weight for weight, _ in layers]  # each (out, in), as torch has them
-        self.biases = [bias for _, bias in layers]
-        self.activations: list[np.ndarray] = []
+    def __init__(self, layers: list[list[np.ndarray]]) -> None:
+        # weights are (out, in), as torch has them
+        columns = zip(*layers, strict=True)
+        self._weights, self._grad_weights, self._biases, self._grad_biases = columns
+        self._activations: list[np.ndarray] = []
 
     def forward(self, x: np.ndarray) -> np.ndarray:
         """Return the head's output (B, out), keeping the activations for :meth:`backward`."""
-        self.activations = [x]
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+        self._activations = [x]
+        for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
             x = x @ weight.T
             x += bias
             np.tanh(x, out=x)
-            self.activations.append(x)
-        return x @ self.weights[-1].T + self.biases[-1]
+            self._activations.append(x)
+        return x @ self._weights[-1].T + self._biases[-1]
 
-    def backward(self, grad_out: np.ndarray, grads: _Tower) -> None:
-        """Write the loss gradient of every weight and bias into ``grads``.
-
-        Args:
-            grad_out: Gradient of the loss by the head's output, (B, out).
-            grads: A tower of the same shapes, overwritten.
-        """
-        for i in range(len(self.weights) - 1, -1, -1):
-            x = self.activations[i]
-            np.matmul(grad_out.T, x, out=grads.weights[i])
-            np.sum(grad_out, axis=0, out=grads.biases[i])
+    def backward(self, grad_out: np.ndarray) -> None:
+        """Write every weight's and bias's gradient, from that of the head's output, (B, out)."""
+        for i in range(len(self._weights) - 1, -1, -1):
+            x = self._activations[i]
+            np.matmul(grad_out.T, x, out=self._grad_weights[i])
+            np.add.reduce(grad_out, axis=0, out=self._grad_biases[i])
             if i > 0:
-                grad_out = grad_out @ self.weights[i]
+                grad_out = grad_out @ self._weights[i]
                 grad_out *= 1.0 - x * x
 
 
-def _same(first: Sequence[th.Tensor], second: Sequence[th.Tensor]) -> bool:
-    return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
-
-
 class FlatActorCritic:
-    """NumPy twin of a supported ``ActorCriticPolicy``; see :meth:`supports`.
-
-    Args:
-        policy: The torch policy whose parameters are moved into one flat vector.
-    """
+    """NumPy twin of a policy that it :meth:`supports`; takes over the memory of its parameters."""
 
     def __init__(self, policy: ActorCriticPolicy) -> None:
         self.policy = policy
-        self._adopt()
+        self._pointers: list[int] = []
+        self._moments: tuple[np.ndarray, np.ndarray] | None
+        self.sync()
 
     @staticmethod
     def supports(policy: object) -> bool:
         """Tell whether the policy is a CPU tanh MLP with a diagonal Gaussian and plain Adam.
 
-        What stable-baselines3 does to observations before the networks see them is part of it:
-        the twin takes Box observations as they are, so not those that count as images. It moves
+        Observations must reach its networks as they are: from a Box, and not as images. It moves
         every parameter and runs no hooks, so there may be neither frozen parameters nor hooks.
         """
         if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
             return False
-        space, adam = policy.observation_space, policy.optimizer
-        as_it_is = isinstance(space, spaces.Box) and not (
-            policy.normalize_images and is_image_space(space)
-        )
-        plain_adam = (
-            type(adam) is th.optim.Adam
-            and len(adam.param_groups) == 1
-            and not any(
-                adam.param_groups[0][name] for name in ("weight_decay", "amsgrad", "maximize")
-            )
-        )
-        parameters, hidden = list(policy.parameters()), policy.mlp_extractor
+        space, adam, parameters = policy.observation_space, policy.optimizer, [*policy.parameters()]
+        if type(adam) is not th.optim.Adam or len(adam.param_groups) != 1:
+            return False
+        group, hidden = adam.param_groups[0], policy.mlp_extractor
         return (
-            as_it_is
-            and plain_adam
-            and _same(adam.param_groups[0]["params"], parameters)
+            isinstance(space, spaces.Box)
+            and not (policy.normalize_images and is_image_space(space))
+            and not any(group[name] for name in ("weight_decay", "amsgrad", "maximize"))
+            and [*map(id, group["params"])] == [*map(id, parameters)]
             and all(
                 p.requires_grad and p.device.type == "cpu" and p.dtype == th.float32
                 for p in parameters
@@ -146,7 +124,10 @@ class FlatActorCritic:
         """Adopt the policy again if any of its tensors was replaced; copy its moments."""
         if self._pointers != self._tensor_pointers():
             self._adopt()
-        self.refresh_moments()
+        extractor = self.policy.features_extractor
+        self._moments = None
+        if isinstance(extractor, RunningNormalizer):
+            self._moments = extractor.mean_and_scale(self.params.dtype)
 
     def normalize(self, observations: np.ndarray) -> np.ndarray:
         """Return observations (B, O) as the networks take them."""
@@ -157,13 +138,6 @@ class FlatActorCritic:
         x = (x - mean) / scale
         np.minimum(np.maximum(x, -CLIP, out=x), CLIP, out=x)
         return x
-
-    def refresh_moments(self) -> None:
-        """Take over the observation moments of the policy, after they changed."""
-        extractor = self.policy.features_extractor
-        self._moments: tuple[np.ndarray, np.ndarray] | None = None
-        if isinstance(extractor, RunningNormalizer):
-            self._moments = extractor.mean_and_scale(self.params.dtype)
 
     def sample(
         self, x: np.ndarray, rng: np.random.Generator
@@ -182,11 +156,8 @@ class FlatActorCritic:
     def gradient(self, batch: Batch, clip_range: float, ent_coef: float, vf_coef: float) -> Losses:
         """Fill ``self.grads`` with the gradient of PPO's clipped loss (Schulman et al., 2017).
 
-        Args:
-            batch: The minibatch; its advantages are used as they are.
-            clip_range: Epsilon of the clipped surrogate.
-            ent_coef: Weight of the entropy bonus.
-            vf_coef: Weight of the squared value error.
+        The minibatch's advantages are used as they are; ``clip_range`` is epsilon, the other two
+        are the weights of the entropy bonus and of the squared value error.
         """
         size = len(batch.actions)
         std = np.exp(self._log_std)
@@ -195,19 +166,19 @@ class FlatActorCritic:
         log_ratio = log_probs - batch.old_log_probs
         ratio = np.exp(log_ratio)
         surrogate = batch.advantages * ratio
-        clipped = batch.advantages * np.clip(ratio, 1.0 - clip_range, 1.0 + clip_range)
+        clipped = batch.advantages * ratio.clip(1.0 - clip_range, 1.0 + clip_range)
         # where the clipped term is the smaller one, it is constant and passes no gradient
         grad_log_prob = np.where(surrogate <= clipped, surrogate, 0.0) / -size
-        self._actor.backward(grad_log_prob[:, None] * standardized / std, self._actor_grads)
+        self._actor.backward(grad_log_prob[:, None] * standardized / std)
         self._log_std_grad[...] = grad_log_prob @ (standardized**2 - 1.0) - ent_coef
 
         error = self._critic.forward(batch.observations)[:, 0] - batch.returns
-        self._critic.backward((error * (2.0 * vf_coef / size))[:, None], self._critic_grads)
-        return Losses(
-            policy=-float(np.minimum(surrogate, clipped).mean()),
-            value=float((error**2).mean()),
-            approx_kl=float((ratio - 1.0 - log_ratio).mean()),
-            clip_fraction=float((np.abs(ratio - 1.0) > clip_range).mean()),
+        self._critic.backward((error * (2.0 * vf_coef / size))[:, None])
+        return Losses(  # sums: NumPy's mean takes longer than all of these
+            policy_gradient_loss=-float(np.minimum(surrogate, clipped).sum() / size),
+            value_loss=float((error**2).sum() / size),
+            approx_kl=float((ratio - 1.0 - log_ratio).sum() / size),
+            clip_fraction=np.count_nonzero(np.abs(ratio - 1.0) > clip_range) / size,
         )
 
     def adam_step(self, max_grad_norm: float) -> None:
@@ -231,53 +202,40 @@ class FlatActorCritic:
 
     def _adopt(self) -> None:
         """Move parameters and Adam's moments into flat vectors and point torch at them."""
-        parameters = list(self.policy.parameters())
-        dtype = parameters[0].detach().numpy().dtype
-        total = sum(p.numel() for p in parameters)
-        self.params, self.grads = np.empty(total, dtype), np.zeros(total, dtype)
-        self.exp_avg, self.exp_avg_sq = np.zeros(total, dtype), np.zeros(total, dtype)
+        policy, parameters = self.policy, list(self.policy.parameters())
+
+        def pieces(flat: np.ndarray) -> list[th.Tensor]:
+            parts = th.from_numpy(flat).split([p.numel() for p in parameters])
+            return [part.view(p.shape) for part, p in zip(parts, parameters, strict=True)]
+
+        self.params = np.concatenate([p.detach().numpy().ravel() for p in parameters])
+        self.grads, self.exp_avg, self.exp_avg_sq = (np.zeros_like(self.params) for _ in range(3))
         self._steps = np.zeros(len(parameters), np.float32)  # one a parameter, as torch has it
-        views: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        start = 0
-        for i, p in enumerate(parameters):
-            part, shape = slice(start, start + p.numel()), tuple(p.shape)
-            start += p.numel()
-            self.params[part] = p.detach().numpy().reshape(-1)
-            p.data = th.from_numpy(self.params[part].reshape(shape))
-            views[id(p)] = p.data.numpy(), self.grads[part].reshape(shape)
-            self._adopt_moments(p, i, part, shape)
+        moments = th.from_numpy(self._steps).unbind(), pieces(self.exp_avg), pieces(self.exp_avg_sq)
+        views: dict[th.Tensor, list[np.ndarray]] = {}
+        for p, value, grad, *own in zip(
+            parameters, pieces(self.params), pieces(self.grads), *moments, strict=True
+        ):
+            p.data, views[p] = value, [value.numpy(), grad.numpy()]
+            adam = policy.optimizer.state[p]
+            for name, moment in zip(_ADAM_STATE, own, strict=True):
+                adam[name] = moment.copy_(adam[name]) if name in adam else moment
         self._pointers = self._tensor_pointers()
-        self._build_towers(views)
-        self.refresh_moments()
+        self._log_std, self._log_std_grad = views[policy.log_std]
+        nets = policy.mlp_extractor
+        self._actor, self._critic = (
+            _Tower([views[n.weight] + views[n.bias] for n in net if isinstance(n, nn.Linear)])
+            for net in (
+                [*nets.policy_net, policy.action_net],
+                [*nets.value_net, policy.value_net],
+            )
+        )
 
     def _tensor_pointers(self) -> list[int]:
         """Return where parameters, moments and steps of torch's side lie now."""
-        optimizer_state = self.policy.optimizer.state
+        adam = self.policy.optimizer.state
         return [
             tensor.data_ptr()
             for p in self.policy.parameters()
-            for tensor in (p, *(optimizer_state.get(p, {}).get(name, p) for name in _ADAM_STATE))
+            for tensor in (p, *(adam.get(p, {}).get(name, p) for name in _ADAM_STATE))
         ]
-
-    def _adopt_moments(self, p: nn.Parameter, i: int, part: slice, shape: tuple[int, ...]) -> None:
-        state = self.policy.optimizer.state[p]
-        if state:
-            self.exp_avg[part] = state["exp_avg"].numpy().reshape(-1)
-            self.exp_avg_sq[part] = state["exp_avg_sq"].numpy().reshape(-1)
-            self._steps[i] = float(state["step"])
-        state["step"] = th.from_numpy(self._steps[i : i + 1].reshape(()))
-        state["exp_avg"] = th.from_numpy(self.exp_avg[part].reshape(shape))
-        state["exp_avg_sq"] = th.from_numpy(self.exp_avg_sq[part].reshape(shape))
-
-    def _build_towers(self, views: dict[int, tuple[np.ndarray, np.ndarray]]) -> None:
-        policy = self.policy
-        self._log_std, self._log_std_grad = views[id(policy.log_std)]
-
-        def tower(hidden: nn.Sequential, head: nn.Module, which: int) -> _Tower:
-            linears = [layer for layer in [*hidden, head] if isinstance(layer, nn.Linear)]
-            return _Tower([(views[id(n.weight)][which], views[id(n.bias)][which]) for n in linears])
-
-        actor = policy.mlp_extractor.policy_net, policy.action_net
-        critic = policy.mlp_extractor.value_net, policy.value_net
-        self._actor, self._actor_grads = tower(*actor, 0), tower(*actor, 1)
-        self._critic, self._critic_grads = tower(*critic, 0), tower(*critic, 1)

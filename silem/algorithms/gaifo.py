@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 import torch as th
@@ -13,13 +13,7 @@ from torch.nn import functional as F
 
 from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
-from silem.algorithms.windows import (
-    LearnerFeatures,
-    WindowTracker,
-    absorbing_windows,
-    episode_windows,
-    marked,
-)
+from silem.algorithms.windows import LearnerFeatures, absorbing_windows, episode_windows, marked
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, check_numbers, choose
 
@@ -29,6 +23,14 @@ REWARDS = {
     "gail": F.softplus,  # -log(1 - D)
 }
 """The reward of a window by name, from the logit of D."""
+
+
+def descend(optimizer: th.optim.Optimizer, loss: th.Tensor) -> None:
+    """Step down the loss in what an optimizer learns; no other gradient is even computed."""
+    learned = optimizer.param_groups[0]["params"]
+    for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
+        p.grad = gradient
+    optimizer.step()
 
 
 class SurvivalWarning(UserWarning):
@@ -57,10 +59,10 @@ class GAIfO(PPO):
             then D wins outright on a body that cannot match the expert: see "Deviations".
         reward: "d" is the paper's, D itself; it is never negative, so where episodes can end it
             pays for surviving. "airl" is log D - log(1 - D), "gail" is -log(1 - D).
-        absorbing_states: Let an episode that ends go on in an absorbing state that D judges too
-            (Kostrikov et al., 2019), so that the reward favours neither surviving nor ending.
-            True if all demonstrations end in a terminal state, or one bool for each; whether
-            the learner's do, they tell themselves. An episode cut by a time limit does not end.
+        absorbing_states: Let an episode that ends, and is not cut by a time limit, go on in an
+            absorbing state that D judges too (Kostrikov et al., 2019), so that the reward favours
+            neither surviving nor ending. True if all demonstrations end in a terminal state, or
+            one bool for each.
         **kwargs: Everything :class:`PPO` takes.
 
     Raises:
@@ -76,9 +78,8 @@ class GAIfO(PPO):
         "discriminator": ("discriminator", "disc_optimizer")
     }
     _transient: ClassVar[list[str]] = [
-        *PPO._transient, "_features", "_tracker", "_windows",
-        "_dones", "_ends", "_warned", "_disc_returns", "_disc_rewards", "_expert_windows",
-        "_torch_rng",
+        *PPO._transient, "_features", "_recent", "_windows", "_ends", "_warned", "_disc_returns",
+        "_expert_windows", "_torch_rng",
     ]  # fmt: skip
 
     def __init__(
@@ -98,7 +99,7 @@ class GAIfO(PPO):
         **kwargs: Any,
     ) -> None:
         # as given: `_setup_model` checks them, because `load` puts arguments of its own in place
-        self.demonstrations = cast(Demonstrations, demonstrations)
+        self.demonstrations: Any = demonstrations
         self.window = window
         self.n_disc_updates = n_disc_updates
         self.disc_learning_rate = disc_learning_rate
@@ -115,20 +116,18 @@ class GAIfO(PPO):
         Lines 1 to 4 are `_setup_model`'s.
         """
         tau_c = self._collected_windows()  # lines 6 and 7, (N, W, F): they stay as they are
-        tau = self._transformed(tau_c)  # line 8, T(o); GAIfO has no T
+        tau = self._transformed(tau_c).detach()  # line 8, T(o); GAIfO has no T
         stats = self.update_discriminator(tau)  # line 9
         stats |= self.update_transform(tau_c)  # line 10, D's weights fixed; GAIfO has no T
         rewards = self._judged(tau, self.reward)  # line 11: D of line 9, but T(o) of line 8
         self._learn_from(rewards)  # and the advantages that follow from these rewards
         super().train()  # PPO's update of the policy
-        self._report(stats)
+        self._report(stats, rewards)
 
     def update_discriminator(self, tau: th.Tensor) -> dict[str, float]:
         """Make N_D steps of line 9 over one pass of learner windows (N, W, F) as D sees them.
 
-        Returns:
-            Means over the steps of the loss and of the share of expert and learner windows
-            judged rightly.
+        Returns the steps' mean loss and shares of expert and learner windows judged rightly.
         """
         self.disc_optimizer.param_groups[0]["lr"] = self.disc_learning_rate
         steps = []
@@ -136,9 +135,7 @@ class GAIfO(PPO):
             draw = th.randint(len(self._expert_windows), (len(rows),), generator=self._torch_rng)
             mixing = th.rand(len(rows), generator=self._torch_rng).to(self.device)
             loss, stats = self._disc_loss(self._expert_windows[draw], tau[rows], mixing)
-            self.disc_optimizer.zero_grad()
-            loss.backward()
-            self.disc_optimizer.step()
+            descend(self.disc_optimizer, loss)
             steps.append(stats)
         return {name: float(np.mean([stats[name] for stats in steps])) for name in steps[0]}
 
@@ -174,7 +171,7 @@ class GAIfO(PPO):
             if name.endswith("_updates") and getattr(self, name) > rows:
                 raise SilemError(f"{name} is {getattr(self, name)}; a rollout has {rows} windows")
         choose("reward", self.reward, REWARDS)
-        self.demonstrations = _checked(self.demonstrations, type(self).__name__)
+        self.demonstrations = Demonstrations.of(self.demonstrations)
         marks, n = self.absorbing_states, len(self.demonstrations.features)
         per_episode = (
             isinstance(marks, Sequence) and len(marks) == n and {*map(type, marks)} == {bool}
@@ -189,14 +186,12 @@ class GAIfO(PPO):
         super()._setup_model()
         n_features = self.demonstrations.n_features
         self._features = LearnerFeatures(n_features)
-        self._tracker: WindowTracker | None = None
+        self._recent: np.ndarray | None = None  # the windows (E, W, F) that end at present
         self._warned = False
         self._expert_windows = th.from_numpy(self._cut_demonstrations()).to(self.device)
-        self.discriminator = self._make_discriminator(n_features + self._absorbing)
-        self.discriminator.to(self.device)
-        self.disc_optimizer = th.optim.Adam(
-            self.discriminator.parameters(), lr=self.disc_learning_rate
-        )
+        self.discriminator = self._make_discriminator(n_features + self._absorbing).to(self.device)
+        learned, rate = self.discriminator.parameters(), self.disc_learning_rate
+        self.disc_optimizer = th.optim.Adam(learned, lr=rate)
         self._torch_rng = th.Generator().manual_seed(self.seed or 0)
 
     def _cut_demonstrations(self) -> np.ndarray:
@@ -216,24 +211,23 @@ class GAIfO(PPO):
     def _begin_rollout(self, env: VecEnv) -> None:
         starts = self._last_episode_starts
         assert starts is not None
-        if self._tracker is None or starts.all():
+        if self._recent is None or starts.all():
             first = self._features.first(env, self._last_obs)
-            self._tracker = WindowTracker(self.window, first)
+            self._recent = np.repeat(first[:, None], self.window, axis=1)
             self._disc_returns = np.zeros(env.num_envs)
-        shape = (self.n_steps, env.num_envs, self.window, self._features.n_features)
-        self._windows = np.empty(shape, dtype=np.float32)
-        self._dones = np.zeros(shape[:2], dtype=bool)
+        self._windows = np.empty((self.n_steps, *self._recent.shape), dtype=np.float32)
         self._ends: list[tuple[int, int]] = []  # steps and environments with a terminal state
 
     def _note_step(
         self, step: int, new_obs: Any, dones: np.ndarray, infos: list[dict[str, Any]], env: VecEnv
     ) -> None:
         reached, first = self._features.reached(env, new_obs, dones, infos)
-        assert self._tracker is not None
-        self._windows[step] = self._tracker.push(reached)
-        self._dones[step] = dones
+        assert self._recent is not None
+        self._recent[:, :-1] = self._recent[:, 1:]
+        self._recent[:, -1] = reached
+        self._windows[step] = self._recent
         for environment, features in first.items():
-            self._tracker.restart(environment, features)
+            self._recent[environment] = features
             if not infos[environment].get("TimeLimit.truncated", False):
                 self._ends.append((step, environment))
 
@@ -257,7 +251,7 @@ class GAIfO(PPO):
         return th.from_numpy(windows).to(self.device)
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:
-        """Return what D is shown of learner windows (N, W, F), without gradients."""
+        """Return what D is shown of learner windows (N, W, F)."""
         return windows
 
     def _judged(self, tau: th.Tensor, reward: str) -> np.ndarray:
@@ -269,28 +263,24 @@ class GAIfO(PPO):
 
         What follows an end is worth its discounted rewards in the absorbing state, for ever.
         """
-        n_steps = self._dones.size
-        self._disc_rewards = judged[:n_steps].reshape(self._dones.shape)
+        shape = self._windows.shape[:2]
+        rewards, behind = np.split(judged, [shape[0] * shape[1]])
         if self._absorbing:
             discounts = self.gamma ** np.arange(1.0, self.window + 1)
             discounts[-1] /= 1.0 - self.gamma
-            after = judged[n_steps:].reshape(-1, self.window) @ discounts
+            after = behind.reshape(-1, self.window) @ discounts
             for end, worth in zip(self._ends, after, strict=True):
                 self._bootstrap[end] = worth
-        self._set_rewards(self._disc_rewards)
+        self._set_rewards(rewards.reshape(shape))
 
     def _disc_loss(
         self, expert_windows: th.Tensor, learner_windows: th.Tensor, mixing: th.Tensor
     ) -> tuple[th.Tensor, dict[str, float]]:
         """Return the loss of one step on windows (B, W, F) each, and what to log of it."""
         return discriminator_loss(
-            self.discriminator,
-            expert_windows,
-            learner_windows,
-            entropy_coef=self.disc_entropy_coef,
-            gradient_penalty=self.gradient_penalty,
-            mixing=mixing,
-        )
+            self.discriminator, expert_windows, learner_windows, mixing=mixing,
+            entropy_coef=self.disc_entropy_coef, gradient_penalty=self.gradient_penalty,
+        )  # fmt: skip
 
     def _passes(self, n: int, n_batches: int) -> tuple[th.Tensor, ...]:
         """Return ``n_batches`` equal index batches that go once through ``n`` rows at random."""
@@ -298,33 +288,16 @@ class GAIfO(PPO):
         order = th.randperm(n, generator=self._torch_rng)
         return order[: size * n_batches].split(size)
 
-    def _report(self, stats: dict[str, float]) -> None:
+    def _report(self, stats: dict[str, float], judged: np.ndarray) -> None:
         """Log an iteration, with the mean learned reward of the episodes that ended in it."""
-        finished: list[float] = []
-        for rewards, dones in zip(self._disc_rewards, self._dones, strict=True):
+        starts, finished = self.rollout_buffer.episode_starts, []
+        dones = np.concatenate([starts[1:], [self._last_episode_starts]]).astype(bool)
+        for rewards, done in zip(judged[: dones.size].reshape(dones.shape), dones, strict=True):
             self._disc_returns += rewards
-            finished += self._disc_returns[dones].tolist()
-            self._disc_returns[dones] = 0.0
+            finished += self._disc_returns[done].tolist()
+            self._disc_returns[done] = 0.0
         if finished:
             stats["disc_reward"] = float(np.mean(finished))
         for key, value in stats.items():
             self.logger.record(f"imitation/{key}", value)
         self.iteration_stats |= stats
-
-
-def _checked(demonstrations: Any, method: str) -> Demonstrations:
-    """Return what was passed as demonstrations as such, or raise SilemError."""
-    if isinstance(demonstrations, Demonstrations):
-        return demonstrations
-    wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
-    if demonstrations is None:
-        raise SilemError(f"{method} needs demonstrations: {wanted}")
-    if isinstance(demonstrations, np.ndarray) and demonstrations.ndim == 2:
-        raise SilemError(
-            f"demonstrations are one array {demonstrations.shape}; allowed: {wanted}: for one"
-            " episode, [array]"
-        )
-    try:
-        return Demonstrations.from_arrays(demonstrations)
-    except (TypeError, ValueError) as error:  # a SilemError is a ValueError
-        raise SilemError(f"unusable demonstrations: {error}; allowed: {wanted}") from error

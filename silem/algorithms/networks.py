@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
 from torch import nn
 from torch.nn import functional as F
 
@@ -21,21 +20,13 @@ _EPSILON = 1e-8
 
 
 def _tanh_mlp(n_inputs: int, hidden: Sequence[int], n_outputs: int = 1) -> list[nn.Module]:
-    """Return the layers of a tanh MLP with a linear head."""
-    sizes = [n_inputs, *hidden]
-    layers: list[nn.Module] = []
-    for n_in, n_out in itertools.pairwise(sizes):
-        layers += [nn.Linear(n_in, n_out), nn.Tanh()]
-    return [*layers, nn.Linear(sizes[-1], n_outputs)]
+    return create_mlp(n_inputs, n_outputs, list(hidden), nn.Tanh)
 
 
 class Discriminator(nn.Module):
-    """D, a tanh MLP from a window to one logit; a high logit means "expert".
+    """D, a tanh MLP from a window of W states with F features to one logit, high for "expert".
 
-    Args:
-        n_features: F, features per state.
-        window: W, states per window.
-        hidden: Units of the hidden layers (supplement: 3 x 128, humanoids 2 x 128).
+    The supplement's ``hidden`` layers are 3 x 128 units, humanoids' 2 x 128.
     """
 
     def __init__(self, n_features: int, window: int, hidden: Sequence[int]) -> None:
@@ -68,8 +59,7 @@ def discriminator_loss(
         mixing: Share of the expert in each mixture, (B,) in [0, 1]; needed with the penalty.
 
     Returns:
-        The loss, and what to log: line 9's cross-entropy alone, and the share of expert and
-        learner windows judged rightly.
+        The loss, and what to log: line 9's cross-entropy and the shares judged rightly.
     """
     logits_expert = discriminator(expert_windows)
     logits_learner = discriminator(learner_windows)
@@ -103,11 +93,8 @@ def squared_gradient_norm(discriminator: nn.Module, windows: th.Tensor) -> th.Te
 def reverse_gradient(x: th.Tensor, coef: float) -> th.Tensor:
     """Return ``x`` unchanged; its gradient comes back times ``-coef`` (Ganin & Lempitsky, 2015).
 
-    What lies behind it minimises its loss, and what lies before it maximises the same loss.
-
-    Args:
-        x: Any tensor.
-        coef: C_g, at least 0; 0 lets no gradient through.
+    What lies behind it minimises its loss, what lies before it maximises it; C_g, ``coef``, is at
+    least 0, and at 0 lets no gradient through.
     """
     same = x.view_as(x)
     if same.requires_grad:
@@ -119,15 +106,9 @@ class ThirdPersonDiscriminator(nn.Module):
     """TPIL's two discriminators on one encoder of single states; a high logit means "expert".
 
     The window head judges the encodings of a window's W states and gives the reward. The domain
-    head tells expert from learner by a single state's encoding; through gradient reversal the
-    encoder learns to make that impossible, so as to forget what the body alone betrays.
-
-    Args:
-        n_features: F, features per state.
-        window: W, states per window.
-        hidden: Units of the hidden layers: the first is the encoder, the others are each head's.
-            (128, 128) has the depth and widths of SILEM's discriminator for humanoids.
-        reversal_coef: C_g of the gradient reversal.
+    head tells expert from learner by a single state's encoding; through gradient reversal, of
+    weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
+    The first of the hidden layers is the encoder, the others are each head's.
 
     Raises:
         SilemError: If there is no hidden layer.
@@ -154,11 +135,7 @@ class ThirdPersonDiscriminator(nn.Module):
 
 
 class AffineTransform(nn.Module):
-    """f(g(s)) = A g(s) + b with diagonal A; starts as the identity.
-
-    Args:
-        n_features: F, the number of skeletal features of a state.
-    """
+    """f(g(s)) = A g(s) + b on F features, with diagonal A; starts as the identity."""
 
     def __init__(self, n_features: int) -> None:
         super().__init__()
@@ -177,10 +154,7 @@ class MLPTransform(nn.Sequential):
         super().__init__(*_tanh_mlp(n_features, [MLP_HIDDEN_UNITS], n_features))
 
 
-TRANSFORMS: dict[str, type[AffineTransform | MLPTransform]] = {
-    "affine": AffineTransform,
-    "mlp": MLPTransform,
-}
+TRANSFORMS = {"affine": AffineTransform, "mlp": MLPTransform}
 """f of the sequential transform by name: one function, applied to every state of a window."""
 
 
@@ -189,17 +163,11 @@ def l2_penalty(
 ) -> th.Tensor:
     """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
 
-    The supplement names the two coefficients and not the form. "deviation" measures A from one:
-    the identity, which says that the two bodies are alike, is what a transform should fall back
-    to where the discriminator asks for nothing. The "plain" norm pulls A to 0, hence every
-    feature to a constant that tells nothing of the learner. Both are means over the features, so
-    that a coefficient weighs the same beside the loss of line 10 whatever F is.
-
-    Args:
-        transform: The affine transform.
-        scale_coef: w_d, weight of A's term.
-        offset_coef: w_b, weight of b's term.
-        form: "deviation" or "plain".
+    The supplement names the coefficients and not the form. "deviation" measures A from one: the
+    identity, which says that the two bodies are alike, is what a transform should fall back to
+    where D asks for nothing. The "plain" norm pulls A to 0, hence every feature to a constant that
+    tells nothing. Both are means over the features, so that a coefficient weighs the same beside
+    the loss of line 10 whatever F is.
     """
     rest = 1.0 if form == "deviation" else 0.0
     scale_term = (transform.scale - rest).square().mean()
@@ -209,13 +177,9 @@ def l2_penalty(
 class RunningNormalizer(BaseFeaturesExtractor):
     """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
 
-    Being part of the policy, the moments are saved, loaded and used by ``predict`` with it:
-    no wrapper has to travel beside the model. They change only in :meth:`update`, which the
-    algorithm calls once per iteration, so the policy that collects a rollout is the policy
-    that is updated on it.
-
-    Args:
-        observation_space: A flat Box of shape (O,).
+    Being part of the policy, the moments are saved, loaded and used by ``predict`` with it. They
+    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy
+    that collects a rollout is the policy that is updated on it.
 
     Raises:
         SilemError: If the observation space is not a flat Box.
@@ -229,12 +193,14 @@ class RunningNormalizer(BaseFeaturesExtractor):
             )
         n_features = observation_space.shape[0]
         super().__init__(observation_space, n_features)
-        self.mean: th.Tensor
-        self.var: th.Tensor
-        self.count: th.Tensor
-        self.register_buffer("mean", th.zeros(n_features, dtype=th.float64))
-        self.register_buffer("var", th.ones(n_features, dtype=th.float64))
-        self.register_buffer("count", th.tensor(1e-4, dtype=th.float64))
+        self.mean, self.var, self.count = (
+            nn.Buffer(start.to(th.float64))
+            for start in (
+                th.zeros(n_features),
+                th.ones(n_features),
+                th.tensor(1e-4, dtype=th.float64),
+            )
+        )
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Return observations (B, O) in clipped standard deviations."""
@@ -250,12 +216,10 @@ class RunningNormalizer(BaseFeaturesExtractor):
     def update(self, observations: np.ndarray) -> None:
         """Merge the moments of a batch (B, O) into the running ones (Chan et al., 1979)."""
         batch = th.from_numpy(np.asarray(observations, dtype=np.float64))
-        batch_mean, batch_var, batch_count = batch.mean(0), batch.var(0, unbiased=False), len(batch)
-        total = self.count + batch_count
-        delta = batch_mean - self.mean
+        mean, var, n = batch.mean(0), batch.var(0, unbiased=False), len(batch)
+        total, delta = self.count + n, mean - self.mean
         self.var.copy_(
-            (self.var * self.count + batch_var * batch_count) / total
-            + delta**2 * self.count * batch_count / total**2
+            (self.var * self.count + var * n) / total + delta**2 * self.count * n / total**2
         )
-        self.mean.add_(delta * batch_count / total)
+        self.mean.add_(delta * n / total)
         self.count.copy_(total)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -31,15 +30,15 @@ _OF_THE_FILE = {"self", "policy", "args", "kwargs", "normalize_observations", "_
 class PPO(SB3PPO):
     """Proximal policy optimisation (Schulman et al., 2017) on stable-baselines3's interface.
 
-    Takes every argument of ``stable_baselines3.PPO``. The tanh MLP of ``MlpPolicy`` is rolled
-    out and updated by :class:`FlatActorCritic`; any other policy or preprocessing, a clipped
-    value loss and gSDE go through stable-baselines3's own code.
+    The tanh MLP of ``MlpPolicy`` is rolled out and updated by :class:`FlatActorCritic`; any other
+    policy or preprocessing, a clipped value loss and gSDE go through stable-baselines3's own code.
 
     Args:
         policy: As in stable-baselines3.
         env: As in stable-baselines3.
+        *args: Every other argument of ``stable_baselines3.PPO``.
         normalize_observations: Put :class:`RunningNormalizer` in front of an ``MlpPolicy``.
-        **kwargs: Every other argument of ``stable_baselines3.PPO``.
+        **kwargs: As ``*args``, by name.
 
     Raises:
         SilemError: A number is not of its kind.
@@ -83,13 +82,12 @@ class PPO(SB3PPO):
         """Load a model that ``save`` wrote, running whatever code the file holds.
 
         **Load only files you trust**: stable-baselines3's format contains pickles. To give a
-        policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`, whose
-        files hold numbers alone.
+        policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`.
 
         Args:
             path: The .zip file.
             env: The environment to go on with; None is enough to predict.
-            device: Where the networks live.
+            device: As in stable-baselines3.
             custom_objects: As in stable-baselines3.
             **kwargs: What the constructor takes, in place of what was saved; also
                 ``print_system_info`` and ``force_reset``, as in stable-baselines3.
@@ -101,10 +99,9 @@ class PPO(SB3PPO):
         allowed = {"print_system_info": None, "force_reset": None}
         for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
             allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
+        names = sorted(allowed.keys() - _OF_THE_FILE)
         for name in kwargs:
-            errors.choose(
-                f"argument of {cls.__name__}.load", name, sorted(allowed.keys() - _OF_THE_FILE)
-            )
+            errors.choose(f"argument of {cls.__name__}.load", name, names)
         if "stats_window_size" in kwargs:
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
@@ -118,11 +115,7 @@ class PPO(SB3PPO):
             raise SilemError(f"cannot load {path}: {errors.reason(error)}") from error
 
     def export_policy(self, path: Path | str, **about: str) -> None:
-        """Write the policy as a safetensors file, numbers alone, for `silem.load_policy`.
-
-        Args:
-            path: The file.
-            **about: What else its metadata should say.
+        """Write the policy, for `silem.load_policy`: a safetensors file, with metadata ``about``.
 
         Raises:
             SilemError: The policy is no multi-layer perceptron on a flat Box of observations, or
@@ -136,32 +129,18 @@ class PPO(SB3PPO):
         set_random_seed(seed)  # torch, and the global NumPy stream of SB3's own path
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return all that training needs at an iteration's start, as named arrays.
-
-        Random streams and episodes under way are not part of it: a checkpoint is taken where
-        the environments are reset and :meth:`reseed` is called.
-        """
-        return state.collect(self.state_modules(), self.state_optimizers())
+        """Return what training needs at an iteration's start, with new episodes and `reseed`."""
+        return state.collect(self._learners())
 
     def load_state_arrays(self, arrays: dict[str, np.ndarray]) -> None:
         """Restore :meth:`state_arrays`; raises SilemError on missing or misshaped arrays."""
-        state.restore(self.state_modules(), self.state_optimizers(), arrays)
+        state.restore(self._learners(), arrays)
 
-    def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return what ``predict`` needs: the policy's weights and observation moments."""
-        return state.collect({"policy": self.policy}, {})
-
-    def load_policy_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore :meth:`policy_arrays`; raises SilemError on missing or misshaped arrays."""
-        state.restore({"policy": self.policy}, {}, arrays)
-
-    def state_modules(self) -> dict[str, th.nn.Module]:
-        """Return the modules that learn, by name."""
-        return {name: getattr(self, module) for name, (module, _) in self._learns.items()}
-
-    def state_optimizers(self) -> dict[str, th.optim.Optimizer]:
-        """Return their optimizers, by the same names."""
-        return {name: recursive_getattr(self, adam) for name, (_, adam) in self._learns.items()}
+    def _learners(self) -> state.Learners:
+        return {
+            name: (getattr(self, module), recursive_getattr(self, optimizer))
+            for name, (module, optimizer) in self._learns.items()
+        }
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
         if self._was_reset():
@@ -188,47 +167,36 @@ class PPO(SB3PPO):
         rollout_buffer: RolloutBuffer,
         n_rollout_steps: int,
     ) -> bool:
-        """Fill the rollout buffer as stable-baselines3 does, and remember what bootstraps it.
+        """Fill the rollout buffer as stable-baselines3 does; False if the callback ends training.
 
         Values at time limits are kept apart from the rewards, so that an imitation learner can
-        put other rewards in their place before it learns. A rollout that is broken off, by a
-        callback or an error, leaves the environments ahead of what the model saw of them; the
-        next ``learn`` therefore begins with new episodes. So does a rollout before which somebody
-        else has reset the environments.
-
-        Returns:
-            False if the callback ended training, else True.
+        put other rewards in their place before it learns. A rollout before which somebody else
+        has reset the environments begins with new episodes.
 
         Raises:
             SilemError: The callback has reset the environments in the middle of the rollout.
         """
-        complete = False
-        try:
-            complete = self._collect(env, callback, rollout_buffer, n_rollout_steps)
-        finally:
-            if not complete:
-                self._last_obs = None
-        return complete
-
-    def _collect(
-        self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_steps: int
-    ) -> bool:
         if self._was_reset():
             self._last_obs = env.reset()  # type: ignore[assignment]
             self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         self._refresh_twin()
         self.policy.set_training_mode(False)
         rollout_buffer.reset()
-        self._bootstrap = np.zeros((n_steps, env.num_envs), dtype=np.float32)
+        self._bootstrap = np.zeros((n_rollout_steps, env.num_envs), dtype=np.float32)
         self._episodes: list[dict[str, float]] = []
         if self.use_sde:
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
         self._begin_rollout(env)
-        for step in range(n_steps):
+        obs: Any = self._last_obs
+        starts = self._last_episode_starts
+        # A rollout that a callback or an error breaks off leaves the environments ahead of what
+        # the model saw of them: `learn` begins with new episodes then.
+        self._last_obs = None
+        for step in range(n_rollout_steps):
             if self.use_sde and self.sde_sample_freq > 0 and step % self.sde_sample_freq == 0:
                 self.policy.reset_noise(env.num_envs)
-            actions, values, log_probs = self._sample(self._last_obs)
+            actions, values, log_probs = self._sample(obs)
             new_obs, rewards, dones, infos = env.step(self._env_actions(actions))
             self.num_timesteps += env.num_envs
             self._note_begun()
@@ -246,11 +214,11 @@ class PPO(SB3PPO):
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
             _store(
-                rollout_buffer, step, observations=self._last_obs, actions=actions,
-                rewards=rewards, episode_starts=self._last_episode_starts, values=values,
-                log_probs=log_probs,
+                rollout_buffer, step, observations=obs, actions=actions, rewards=rewards,
+                episode_starts=starts, values=values, log_probs=log_probs,
             )  # fmt: skip
-            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
+            obs, starts = new_obs, dones
+        self._last_obs, self._last_episode_starts = obs, starts
         self._set_rewards(rollout_buffer.rewards)
         callback.update_locals(locals())
         callback.on_rollout_end()
@@ -274,13 +242,13 @@ class PPO(SB3PPO):
         """Have the NumPy twin of the policy, where there is one, agree with the torch policy.
 
         The invariant: the twin owns the memory. Parameters and Adam's moments live in its flat
-        vectors, and torch's tensors are views of them, so a step of either side is seen by the
-        other at once, as is what is copied into the tensors (``load_state_dict``). Two things it
-        cannot see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``,
-        another policy object) and observation moments, of which it keeps a rounded copy. So
-        before every rollout and every update it adopts replaced tensors and copies the moments
-        anew, whoever changed them; between these two nothing may. Where the policy is none that
-        it reproduces, there is no twin, and stable-baselines3's own code runs.
+        vectors, of which torch's tensors are views, so a step of either side is seen by the other
+        at once, as is what is copied into the tensors (``load_state_dict``). Two things it cannot
+        see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``, another
+        policy object) and observation moments, of which it keeps a rounded copy. So before every
+        rollout and every update it adopts replaced tensors and copies the moments anew, whoever
+        changed them; between these two nothing may. Where it does not reproduce the policy, there
+        is no twin, and stable-baselines3's own code runs.
         """
         if not FlatActorCritic.supports(self.policy) or self.clip_range_vf is not None:
             self._fast = None
@@ -370,37 +338,44 @@ class PPO(SB3PPO):
         self._update_learning_rate(self.policy.optimizer)
         assert callable(self.clip_range)
         clip_range = self.clip_range(self._current_progress_remaining)
-        rollout = _flatten(self.rollout_buffer, fast)
+        buffer = self.rollout_buffer
+        flat = buffer.swap_and_flatten  # environments one after another
+        scalars = (flat(x)[:, 0] for x in (buffer.log_probs, buffer.advantages, buffer.returns))
+        rollout = Batch(fast.normalize(flat(buffer.observations)), flat(buffer.actions), *scalars)
         losses: list[Losses] = []
         for _ in range(self.n_epochs):
-            order = self._rng.permutation(len(rollout.actions))
-            for batch in _minibatches(rollout, order, self.batch_size, self.normalize_advantage):
-                loss = fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef)
-                losses.append(loss)
-                if self.target_kl is not None and loss.approx_kl > 1.5 * self.target_kl:
+            for batch in self._minibatches(rollout):
+                losses.append(fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef))
+                far = self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl
+                if far:
                     break
                 fast.adam_step(self.max_grad_norm)
             self._n_updates += 1
-            if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
+            if far:
                 break
         self._log_update(losses, clip_range)
 
+    def _minibatches(self, rollout: Batch) -> Iterator[Batch]:
+        """Yield one epoch's minibatches, in random order."""
+        order = self._rng.permutation(len(rollout.actions))
+        shuffled = [array[order] for array in rollout]
+        for start in range(0, len(order), self.batch_size):
+            batch = Batch(*(array[start : start + self.batch_size] for array in shuffled))
+            advantages, n = batch.advantages, len(batch.advantages)
+            if self.normalize_advantage and n > 1:  # as by mean and std(ddof=1), in half the time
+                advantages = advantages - advantages.sum() / n
+                std = np.sqrt((advantages * advantages).sum() / (n - 1))
+                advantages = advantages / (std + 1e-8)
+            yield batch._replace(advantages=advantages)
+
     def _log_update(self, losses: list[Losses], clip_range: float) -> None:
         """Log what stable-baselines3's PPO does, under its names."""
-        log_std, buffer, last = (
-            self.policy.log_std.detach().numpy(),
-            self.rollout_buffer,
-            losses[-1],
-        )
+        log_std, buffer = self.policy.log_std.detach().numpy(), self.rollout_buffer
         entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-        policy, value, approx_kl, clip_fraction = np.mean([astuple(x) for x in losses], axis=0)
-        logged = {
+        last = losses[-1].policy_gradient_loss + self.vf_coef * losses[-1].value_loss
+        logged = dict(zip(Losses._fields, np.mean(losses, axis=0), strict=True)) | {
             "entropy_loss": -entropy,
-            "policy_gradient_loss": policy,
-            "value_loss": value,
-            "approx_kl": approx_kl,
-            "clip_fraction": clip_fraction,
-            "loss": last.policy - self.ent_coef * entropy + self.vf_coef * last.value,
+            "loss": last - self.ent_coef * entropy,
             "std": float(np.exp(log_std).mean()),
             "explained_variance": explained_variance(buffer.values.ravel(), buffer.returns.ravel()),
             "clip_range": clip_range,
@@ -411,21 +386,18 @@ class PPO(SB3PPO):
 
     def _record_episodes(self) -> None:
         """Fill ``iteration_stats`` with what this iteration's finished episodes showed."""
-        stats: dict[str, float] = {}
+        self.iteration_stats = {}
         for key, name in _EPISODE_STATS.items():
-            values = [episode[key] for episode in self._episodes if key in episode]
-            if values:
-                stats[name] = float(np.mean(values))
+            if values := [episode[key] for episode in self._episodes if key in episode]:
+                self.iteration_stats[name] = float(np.mean(values))
         if hasattr(self.policy, "log_std"):
-            stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
-        self.iteration_stats = stats
+            self.iteration_stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
 
 
 def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
     """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
 
-    ``RolloutBuffer.add`` copies tensors; writing plain arrays into its rows is several times
-    faster. Dictionaries of observations go through ``add``.
+    ``RolloutBuffer.add``, which dictionaries of observations take, is several times slower.
     """
     if isinstance(rows["observations"], dict):
         tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))
@@ -437,30 +409,3 @@ def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
         into[...] = np.reshape(row, into.shape)
     buffer.pos = step + 1
     buffer.full = buffer.pos == buffer.buffer_size
-
-
-def _flatten(buffer: RolloutBuffer, fast: FlatActorCritic) -> Batch:
-    """Return a full rollout (T, E, ...) as one batch, environments one after another."""
-    flat = buffer.swap_and_flatten
-    return Batch(
-        fast.normalize(flat(buffer.observations)),
-        flat(buffer.actions),
-        flat(buffer.log_probs)[:, 0],
-        flat(buffer.advantages)[:, 0],
-        flat(buffer.returns)[:, 0],
-    )
-
-
-def _minibatches(
-    rollout: Batch, order: np.ndarray, size: int, normalize_advantage: bool
-) -> Iterator[Batch]:
-    """Yield one epoch's minibatches: ``order`` (N,) cut into pieces of ``size``."""
-    inputs, actions, log_probs, all_advantages, returns = (
-        getattr(rollout, name)[order] for name in Batch.__dataclass_fields__
-    )
-    for start in range(0, len(order), size):
-        rows = slice(start, start + size)
-        advantages = all_advantages[rows]
-        if normalize_advantage and len(advantages) > 1:
-            advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-        yield Batch(inputs[rows], actions[rows], log_probs[rows], advantages, returns[rows])

@@ -9,7 +9,7 @@ import numpy as np
 import torch as th
 from torch.nn import functional as F
 
-from silem.algorithms.gaifo import GAIfO
+from silem.algorithms.gaifo import GAIfO, descend
 from silem.algorithms.networks import L2_FORMS, TRANSFORMS, AffineTransform, l2_penalty
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
@@ -23,8 +23,8 @@ class SILEM(GAIfO):
 
     Args:
         policy: As in stable-baselines3 ("MlpPolicy").
-        env: As in :class:`GAIfO`.
-        demonstrations: As in :class:`GAIfO`.
+        env: As in :class:`GAIfO`, and so are the demonstrations.
+        demonstrations: The expert's.
         transform: f of the sequential transform: "affine" is SILEM, "mlp" the ablation of
             Table 1. Without a transform SILEM is :class:`GAIfO`, the paper's SILEM-minus.
         n_transform_updates: N_G, transform steps per iteration, one pass over the rollout.
@@ -74,33 +74,24 @@ class SILEM(GAIfO):
     def update_transform(self, tau_c: th.Tensor) -> dict[str, float]:
         """Make N_G steps of line 10 on windows (N, W, F); D's weights stay.
 
-        Returns:
-            The mean of line 10's loss -log D(T(o)), without the L2 term, and the learning rate.
+        Returns the mean of its loss -log D(T(o)), without the L2 term, and the learning rate.
         """
         iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1  # 0 for the first
         rate = self.transform_learning_rate * self.transform_lr_decay**iteration
         self.transform_optimizer.param_groups[0]["lr"] = rate
-        learned = list(self.transform_net.parameters())
         losses = []
         for rows in self._passes(len(tau_c), self.n_transform_updates):
-            logits = self.discriminator(self._apply(tau_c[rows]))
+            logits = self.discriminator(self._transformed(tau_c[rows]))
             loss = F.softplus(-logits).mean()  # -log sigmoid(logit)
             losses.append(loss.item())
             if self.transform_l2_scale or self.transform_l2_bias:
                 weights = self.transform_l2_scale, self.transform_l2_bias
                 assert isinstance(self.transform_net, AffineTransform)
                 loss = loss + l2_penalty(self.transform_net, *weights, self.transform_l2_form)
-            # gradients by T alone: D's are not even computed
-            for p, gradient in zip(learned, th.autograd.grad(loss, learned), strict=True):
-                p.grad = gradient
-            self.transform_optimizer.step()
+            descend(self.transform_optimizer, loss)
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:
-        with th.no_grad():
-            return self._apply(windows)
-
-    def _apply(self, windows: th.Tensor) -> th.Tensor:
         """Return T(o) of windows (N, W, F); the absorbing state has no features to transform."""
         if not self._absorbing:
             return self.transform_net(windows)
@@ -116,14 +107,12 @@ class SILEM(GAIfO):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        transform = TRANSFORMS[self.transform](self.demonstrations.n_features)
-        self.transform_net = transform.to(self.device)
-        self.transform_optimizer = th.optim.Adam(
-            transform.parameters(), lr=self.transform_learning_rate
-        )
+        transform = TRANSFORMS[self.transform](self.demonstrations.n_features).to(self.device)
+        self.transform_net, rate = transform, self.transform_learning_rate
+        self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 
-    def _report(self, stats: dict[str, float]) -> None:
-        super()._report(stats)
+    def _report(self, stats: dict[str, float], judged: np.ndarray) -> None:
+        super()._report(stats, judged)
         if isinstance(self.transform_net, AffineTransform):
             for name, values in self.transform_net.named_parameters():
                 for i, entry in enumerate(values.tolist()):

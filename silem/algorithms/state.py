@@ -1,4 +1,4 @@
-"""Torch modules and Adam optimizers as named NumPy arrays, policies as files, and back."""
+"""What learns, as named NumPy arrays and back; policies as files that hold numbers alone."""
 
 from __future__ import annotations
 
@@ -18,117 +18,87 @@ from silem.algorithms.networks import RunningNormalizer
 from silem.util import files
 from silem.util.errors import SilemError, choose
 
+Learners = Mapping[str, tuple[nn.Module, th.optim.Optimizer | None]]
+"""What learns by name: a module, and the Adam optimizer of its parameters."""
+
 _ACTIVATIONS = {made.__name__: made for made in (nn.Tanh, nn.ReLU, nn.ELU, nn.SiLU, nn.GELU)}
 _OF_A_RUN = {"activation": "Tanh", "low": "-1", "high": "1"}  # what a run's file need not say
-_MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
-def collect(
-    modules: Mapping[str, th.nn.Module], optimizers: Mapping[str, th.optim.Optimizer]
-) -> dict[str, np.ndarray]:
+def _tensors(learners: Learners) -> dict[str, th.Tensor]:
+    """Return all weights, buffers and Adam moments themselves, named ``owner/part``."""
+    found: dict[str, th.Tensor] = {}
+    for owner, (module, optimizer) in learners.items():
+        found |= {f"{owner}/{name}": tensor for name, tensor in module.state_dict().items()}
+        if optimizer is None:
+            continue
+        for i, p in enumerate(p for group in optimizer.param_groups for p in group["params"]):
+            adam = optimizer.state[p]
+            for name in ("exp_avg", "exp_avg_sq"):
+                found[f"{owner}.adam/{i}.{name}"] = adam.setdefault(name, th.zeros_like(p))
+            found[f"{owner}.adam/{i}.step"] = adam.setdefault("step", th.tensor(0.0)).view(1)
+    return found
+
+
+def collect(learners: Learners) -> dict[str, np.ndarray]:
     """Return copies of all weights, buffers and Adam moments, named ``owner/part``."""
-    arrays = {
-        f"{owner}/{name}": tensor.detach().cpu().numpy().copy()
-        for owner, module in modules.items()
-        for name, tensor in module.state_dict().items()
-    }
-    for owner, optimizer in optimizers.items():
-        for i, p in enumerate(_parameters(optimizer)):
-            state = optimizer.state.get(p) or {}
-            for moment in _MOMENTS:
-                value = state[moment] if state else th.zeros_like(p)
-                arrays[f"{owner}.adam/{i}.{moment}"] = value.detach().cpu().numpy().copy()
-            step = float(state["step"]) if state else 0.0
-            arrays[f"{owner}.adam/{i}.step"] = np.array([step], np.float32)
-    return arrays
+    return {name: t.detach().cpu().numpy().copy() for name, t in _tensors(learners).items()}
 
 
-def restore(
-    modules: Mapping[str, th.nn.Module],
-    optimizers: Mapping[str, th.optim.Optimizer],
-    arrays: Mapping[str, np.ndarray],
-) -> None:
+def restore(learners: Learners, arrays: Mapping[str, np.ndarray]) -> None:
     """Copy :func:`collect`'s arrays back, in place.
 
     Raises:
-        SilemError: If a name is missing or unknown, or a shape or a value is wrong; nothing is
+        SilemError: A name is missing or unknown, or a shape or a value is wrong; no weight is
             changed then.
     """
-    _check(collect(modules, optimizers), arrays)
-    for owner, module in modules.items():
-        for name, tensor in module.state_dict().items():
-            tensor.copy_(th.from_numpy(np.array(arrays[f"{owner}/{name}"])))
-    for owner, optimizer in optimizers.items():
-        for i, p in enumerate(_parameters(optimizer)):
-            state = optimizer.state[p]
-            for moment in _MOMENTS:
-                value = th.from_numpy(np.array(arrays[f"{owner}.adam/{i}.{moment}"]))
-                state.setdefault(moment, th.zeros_like(p)).copy_(value)
-            step = float(arrays[f"{owner}.adam/{i}.step"][0])
-            state.setdefault("step", th.tensor(0.0)).fill_(step)
-
-
-def _parameters(optimizer: th.optim.Optimizer) -> list[th.Tensor]:
-    return [p for group in optimizer.param_groups for p in group["params"]]
-
-
-def _check(expected: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]) -> None:
+    tensors = _tensors(learners)
     for problem, names in (
-        ("lacks", expected.keys() - arrays.keys()),
-        ("has unknown", arrays.keys() - expected.keys()),
+        ("lacks", tensors.keys() - arrays.keys()),
+        ("has unknown", arrays.keys() - tensors.keys()),
     ):
         if names:
             listed = ", ".join(sorted(names)[:5])
             raise SilemError(f"saved state {problem} {len(names)} array(s): {listed}")
-    for name, array in expected.items():
-        if arrays[name].shape != array.shape:
-            raise SilemError(
-                f"saved state: {name} has shape {arrays[name].shape}, expected {array.shape}"
-            )
+    for name, tensor in tensors.items():
+        shape, wanted = arrays[name].shape, tuple(tensor.shape)
+        if shape != wanted:
+            raise SilemError(f"saved state: {name} has shape {shape}, expected {wanted}")
         if not np.isfinite(arrays[name]).all():
             raise SilemError(f"saved state: {name} holds NaN or infinity")
+    for name, tensor in tensors.items():
+        tensor.copy_(th.from_numpy(np.array(arrays[name])))
 
 
-def export_policy(policy: object, path: Path, about: Mapping[str, str]) -> None:
+def export_policy(policy: ActorCriticPolicy, path: Path, about: Mapping[str, str]) -> None:
     """Write a policy as safetensors, for :func:`load_policy`; see ``PPO.export_policy``."""
-    arrays = collect({"policy": policy}, {}) if isinstance(policy, nn.Module) else {}
-    described = _described(policy)
+    arrays, described = collect({"policy": (policy, None)}), _described(policy)
     try:
-        again = _rebuilt(arrays, described or {})
+        again = _rebuilt(arrays, described)
+        whole = again.action_space == policy.action_space
+        whole &= again.observation_space.shape == policy.observation_space.shape
     except (LookupError, ValueError):
-        again = None
-    if not (
-        again is not None
-        and isinstance(policy, ActorCriticPolicy)
-        and again.action_space == policy.action_space
-        and again.observation_space.shape == policy.observation_space.shape
-    ):
+        whole = False
+    if not whole:
         raise SilemError(
             "only a multi-layer perceptron from a flat Box of observations, with one of the"
             f" activations {', '.join(_ACTIVATIONS)}, can be exported; `save` keeps any policy, as"
             " a pickle"
         )
-    files.write_tensors(path, arrays, {**about, **(described or {})})
+    files.write_tensors(path, arrays, {**about, **described})
 
 
-def _described(policy: object) -> dict[str, str] | None:
-    """Return what a policy's arrays do not tell of it, or None if it is of another kind."""
+def _described(policy: ActorCriticPolicy) -> dict[str, str]:
+    """Return what a policy's arrays do not tell of it; nothing of one of another kind."""
     if type(policy) is not ActorCriticPolicy or not policy.share_features_extractor:
-        return None
+        return {}
     if policy.use_sde or not isinstance(policy.observation_space, spaces.Box):
-        return None
+        return {}
     space, about = policy.action_space, {"activation": policy.activation_fn.__name__}
-    if isinstance(space, spaces.Box):
-        about |= {name: _text(getattr(space, name)) for name in ("low", "high")}
-    elif isinstance(space, spaces.MultiDiscrete):
-        about["nvec"] = _text(space.nvec)
-    elif isinstance(space, spaces.MultiBinary):
-        about["binary"] = "yes"
-    return about
-
-
-def _text(numbers: np.ndarray) -> str:
-    return " ".join(repr(number) for number in numbers.ravel().tolist())
+    for name in ("low", "high", "nvec"):  # of a Box or a MultiDiscrete
+        if isinstance(numbers := getattr(space, name, None), np.ndarray):
+            about[name] = " ".join(map(repr, numbers.ravel().tolist()))
+    return about | ({"binary": "yes"} if isinstance(space, spaces.MultiBinary) else {})
 
 
 def load_policy(path: Path | str) -> ActorCriticPolicy:
@@ -178,6 +148,6 @@ def _rebuilt(arrays: Mapping[str, np.ndarray], about: Mapping[str, str]) -> Acto
             activation_fn=_ACTIVATIONS[choose("activation", about["activation"], _ACTIVATIONS)],
             features_extractor_class=RunningNormalizer if normalised else FlattenExtractor,
         )
-    restore({"policy": policy}, {}, arrays)
+    restore({"policy": (policy, None)}, arrays)
     policy.set_training_mode(False)
     return policy

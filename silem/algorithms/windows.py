@@ -20,14 +20,7 @@ INFO_KEY = "skeletal_features"
 
 
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
-    """Cut one episode into windows.
-
-    Args:
-        features: Skeletal features of an episode's T + 1 states, (T + 1, F).
-        window: Number of states W in a window, at least 1.
-
-    Returns:
-        Windows (T, W, F); row t ends at state t + 1.
+    """Cut an episode's features (T + 1, F) into windows (T, W, F); row t ends at state t + 1.
 
     Raises:
         SilemError: If the episode has fewer than two states or the window is not positive.
@@ -47,22 +40,15 @@ def marked(windows: np.ndarray) -> np.ndarray:
 
 
 def absorbing_windows(last: np.ndarray) -> np.ndarray:
-    """Return the windows of an episode that has ended, and stays in the absorbing state.
+    """Return the windows (W, W, F + 1) of an episode that has ended, after its last one, (W, F).
 
-    That state has no features but a mark that tells it from all others (Kostrikov et al., 2019).
-
-    Args:
-        last: The window (W, F) that ends at the terminal state, not yet marked.
-
-    Returns:
-        Windows (W, W, F + 1); row k ends k + 1 states after the terminal one, and the last row
-        holds the absorbing state alone, as all windows after it would.
+    It stays in the absorbing state, which has no features but a mark that tells it from all others
+    (Kostrikov et al., 2019). Row k ends k + 1 states after the terminal one, and the last row
+    holds the absorbing state alone, as all windows after it would.
     """
-    window, n_features = last.shape
-    absorbing = np.zeros((window, n_features + 1), dtype=last.dtype)
-    absorbing[:, -1] = 1.0
-    states = np.concatenate([marked(last), absorbing])
-    return np.stack([states[k : k + window] for k in range(1, window + 1)])
+    states = np.concatenate([marked(last), np.zeros_like(marked(last))])
+    states[len(last) :, -1] = 1.0
+    return episode_windows(states, len(last))[-len(last) :]
 
 
 class LearnerFeatures:
@@ -70,10 +56,7 @@ class LearnerFeatures:
 
     Environments that supply ``info["skeletal_features"]`` (F,) from ``reset`` and ``step`` have a
     g of their own; for all others g is the identity. Which of the two holds is decided at the
-    first reset, for all environments and for good.
-
-    Args:
-        n_features: F of the demonstrations, which the learner's must equal.
+    first reset, for all environments and for good. F must be that of the demonstrations.
     """
 
     def __init__(self, n_features: int) -> None:
@@ -97,20 +80,11 @@ class LearnerFeatures:
     def reached(
         self, env: VecEnv, observations: Any, dones: np.ndarray, infos: list[dict[str, Any]]
     ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-        """Return the features a step led to.
+        """Return the features (E, F) of the states a step led to, terminal ones included.
 
-        Args:
-            env: The environments.
-            observations: What they returned, (E, O): a new episode's first where one ended.
-            dones: Which episodes ended, (E,).
-            infos: Their infos.
-
-        Returns:
-            Features (E, F) of the states reached, terminal ones included, and per environment
-            whose episode ended the features (F,) of the new episode's first state.
-
-        Raises:
-            SilemError: As for :meth:`first`.
+        With them, per environment whose episode ended, come the features (F,) of the new
+        episode's first state. ``observations``, ``dones`` and ``infos`` are the step's. Raises as
+        :meth:`first`.
         """
         ended = np.flatnonzero(dones).tolist()
         terminal = observations
@@ -169,25 +143,3 @@ def _check_observations(env: VecEnv) -> None:
             f" it goes; {remedy} (the policy normalises its observations itself), or have the"
             f" environment supply info[{INFO_KEY!r}]"
         )
-
-
-class WindowTracker:
-    """The learner's windows, built step by step in E environments.
-
-    Args:
-        window: Number of states W in a window.
-        first: Features of each environment's first state, (E, F).
-    """
-
-    def __init__(self, window: int, first: np.ndarray) -> None:
-        self._recent = np.repeat(first[:, None, :], window, axis=1).astype(np.float32)
-
-    def push(self, features: np.ndarray) -> np.ndarray:
-        """Append the states (E, F) just reached and return the windows (E, W, F) they end."""
-        self._recent[:, :-1] = self._recent[:, 1:]
-        self._recent[:, -1] = features
-        return self._recent
-
-    def restart(self, environment: int, first: np.ndarray) -> None:
-        """Begin a new episode with first state (F,) in one environment."""
-        self._recent[environment] = first

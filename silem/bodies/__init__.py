@@ -1,10 +1,22 @@
-"""The registry of bodies: one name, one body, built when it is asked for."""
+"""The registry of bodies: one name, one body, built when it is asked for.
+
+Bodies of one's own are registered by modules that are named, or by installed packages.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import importlib
+import importlib.metadata
+import os
 import re
+import sys
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
+
+import gymnasium
 
 from silem.bodies import ant, half_cheetah, humanoid
 from silem.bodies.body import (
@@ -20,11 +32,13 @@ from silem.bodies.body import (
     Skeleton,
     View,
 )
-from silem.util.errors import SilemError, choose
+from silem.util.errors import SilemError, check_name, choose
 
 __all__ = [
     "AliveRule", "Body", "BulletBody", "Entry", "GymnasiumBody", "Motor", "MujocoBody", "Part",
-    "Skeleton", "View", "describe", "get", "names", "of_kind", "register", "watch",
+    "Skeleton", "View", "describe", "get", "identity", "load", "load_installed", "module_of",
+    "names", "of_kind",
+    "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", bound=Body)
@@ -40,26 +54,40 @@ class Entry(NamedTuple):
     max_steps: int = MAX_STEPS
 
 
-_BODIES: dict[str, Body | Entry] = {
-    name: Entry(name, family.FAMILY, family.ENGINE, make)
-    for family in (half_cheetah, ant, humanoid)
-    for name, make in family.BODIES.items()
-}
-_WATCHERS: list[Callable[[Body | Entry], None]] = []
+_BODIES: dict[str, Body | Entry] = {}
+_OWN: dict[str, str] = {}  # of those registered, the module that `load` was loading, or ""
+_loading = ""
+
+
+def _add(body: Body | Entry) -> None:
+    """Put a body into the registry, and give it its Gymnasium id unless it is Gymnasium's own."""
+    _BODIES[body.name] = body
+    if body.engine == "gymnasium":
+        return
+    key = f"silem/{body.name}-v0"
+    gymnasium.registry.pop(key, None)  # a body's that this one replaces
+    gymnasium.register(
+        key,
+        entry_point="silem.envs.base:SingleEnv",
+        max_episode_steps=body.max_steps,
+        kwargs={"body": body.name},
+    )
+
+
+for _family in (half_cheetah, ant, humanoid):
+    for _name, _make in _family.BODIES.items():
+        _add(Entry(_name, _family.FAMILY, _family.ENGINE, _make))
 
 
 def register(body: Body, replace: bool = False) -> Body:
     """Add a body to the registry, give it its Gymnasium id, and return it.
 
-    Registering the same body again changes nothing.
-
-    With `replace` it may take the place of another one of that name.
+    Registering the same body again changes nothing. With `replace` it may take another's place.
 
     Raises:
-        SilemError: If the name is another body's, or is not fit for an id or a file.
+        SilemError: If the name is another body's, or cannot be that of a file.
     """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", body.name):
-        raise SilemError(f"body named {body.name!r}; allowed: letters, digits, _, - and .")
+    check_name("body", body.name)
     if body.name in _BODIES and not replace:
         known = get(body.name)
         if known != body or known.model_xml() != body.model_xml():
@@ -68,17 +96,9 @@ def register(body: Body, replace: bool = False) -> Body:
                 " in its place"
             )
         return known
-    _BODIES[body.name] = body
-    for watcher in _WATCHERS:
-        watcher(body)
+    _add(body)
+    _OWN[body.name] = _loading
     return body
-
-
-def watch(watcher: Callable[[Body | Entry], None]) -> None:
-    """Call a function for each body that is registered, and at once for those that are."""
-    _WATCHERS.append(watcher)
-    for body in _BODIES.values():
-        watcher(body)
 
 
 def get(name: str) -> Body:
@@ -90,8 +110,6 @@ def get(name: str) -> Body:
         SilemError: If there is no such body; the message lists those there are.
     """
     if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
-        import gymnasium  # which no body of the paper needs
-
         try:
             spec = gymnasium.spec(name)
         except gymnasium.error.Error as error:
@@ -108,8 +126,7 @@ def get(name: str) -> Body:
 def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
     """Return a body, given itself or its name, as a `BulletBody` or a `MujocoBody`.
 
-    Raises:
-        SilemError: If there is no such body, or another simulator steps it.
+    Raises SilemError if there is no such body, or another simulator steps it.
     """
     found = get(body) if isinstance(body, str) else body
     if not isinstance(found, kind):
@@ -119,11 +136,7 @@ def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
 
 
 def names(family: str | None = None) -> list[str]:
-    """Return the names of all bodies, or of one family's, in the paper's order.
-
-    Raises:
-        SilemError: If there is no such family.
-    """
+    """Return the names of all bodies, or of a known family's, in the paper's order."""
     if family is not None:
         choose("family", family, dict.fromkeys(body.family for body in _BODIES.values()))
     return [name for name, body in _BODIES.items() if family in (None, body.family)]
@@ -145,3 +158,58 @@ def describe(body: Body | str) -> dict[str, Any]:
     from silem.bodies import measure  # which needs the simulators
 
     return measure.describe(get(body) if isinstance(body, str) else body)
+
+
+def load(module: str) -> None:
+    """Import a module that registers bodies of one's own, looked for in the working folder too.
+
+    Raises:
+        SilemError: It cannot be imported, whatever the reason.
+    """
+    global _loading
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.insert(0, here)  # as `python -m` has it; a console script has not
+    _loading = module
+    try:
+        importlib.import_module(module)
+    except Exception as error:  # a stranger's module may raise anything
+        raise SilemError(f"cannot import {module}: {type(error).__name__}: {error}") from error
+    finally:
+        _loading = ""
+
+
+def load_installed() -> None:
+    """Load the bodies of installed packages: their entry points in the group ``silem.bodies``.
+
+    An entry point names a module, whose import registers them, or a function, which is called. One
+    that fails is told of in a warning; the others are loaded nevertheless.
+    """
+    for point in importlib.metadata.entry_points(group="silem.bodies"):
+        try:
+            found = point.load()
+            if callable(found):
+                found()
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+            warnings.warn(f"the bodies of {point.value} are left out: {problem}", stacklevel=2)
+
+
+def identity(name: str) -> dict[str, str] | None:
+    """Return what tells a body of one's own from others of its name, or None for any other body.
+
+    That is a hash of it, and the `module` whose `load` registered it, or "".
+    """
+    if name not in _OWN:
+        return None
+    body = get(name)
+    told = {
+        field.name: getattr(body, field.name) for field in dataclasses.fields(body) if field.repr
+    }
+    del told["description"]
+    digest = hashlib.sha256(f"{told}\n{body.model_xml()}".encode()).hexdigest()
+    return {"module": _OWN[name], "sha256": digest}
+
+
+def module_of(name: str) -> str:
+    """Return the module whose `load` registered a body, or ""."""
+    return _OWN.get(name, "")

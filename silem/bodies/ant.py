@@ -4,17 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from silem.bodies.body import (
-    AliveRule,
-    BulletBody,
-    Engine,
-    Motor,
-    Part,
-    View,
-    numbers,
-    pybullet_model,
-    set_attribute,
-)
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
 
 FAMILY = "ant"
 ENGINE: Engine = "bullet"
@@ -32,15 +22,12 @@ def model(offset: float) -> str:
     In the model that link is the geom `aux_i_geom`, and the body `aux_i` hangs on its end; an
     offset of 0.2 is PyBullet's own file, byte for byte.
     """
-    xml = pybullet_model("ant.xml")
-    if offset == LINK_OFFSETS["Ant0"]:
-        return xml
+    edits: dict[tuple[str, str, str], tuple[float, ...]] = {}
     for leg, (x, y) in _LEG_SIGNS.items():
-        end = (x * offset, y * offset, 0)
-        span = numbers(0, 0, 0, *end)
-        xml = set_attribute(xml, "geom", f"aux_{leg}_geom", "fromto", span)
-        xml = set_attribute(xml, "body", f"aux_{leg}", "pos", numbers(*end))
-    return xml
+        end = (x * offset, y * offset, 0.0)
+        edits["geom", f"aux_{leg}_geom", "fromto"] = (0.0, 0.0, 0.0, *end)
+        edits["body", f"aux_{leg}", "pos"] = end
+    return pybullet_model("ant.xml", {} if offset == LINK_OFFSETS["Ant0"] else edits)
 
 
 def body(name: str, offset: float) -> BulletBody:

@@ -211,13 +211,10 @@ def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
     (rgba,) = (colour for colour, parts in _COLOURS.items() if part in parts)
     largest_m3 = max(map(_volume_m3, shapes), default=0.0)
     for shape in shapes:
-        is_solid = not is_foot and _volume_m3(shape) == largest_m3
-        kind, size = _primitive(shape)
-        orientation = _quaternion(shape["rpy_rad"])
-        contact = _SOLID if is_solid else _BARE
-        body.add_geom(
-            type=kind, size=size, pos=shape["xyz_m"], quat=orientation, rgba=rgba, **contact
-        )
+        kind, size, volume_m3 = _primitive(shape)
+        place = {"pos": shape["xyz_m"], "quat": _quaternion(shape["rpy_rad"])}
+        contact = _SOLID if volume_m3 == largest_m3 and not is_foot else _BARE
+        body.add_geom(type=kind, size=size, rgba=rgba, **place, **contact)
     if is_foot:  # small spheres inside the lower corners of its box, flush with its faces
         box = max(shapes, key=_volume_m3)  # the other one is the narrow tip of its toe
         reach = np.array(box["size"]) / 2 - _SOLE_RADIUS_M
@@ -242,21 +239,20 @@ def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
         )
 
 
-def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float]]:
-    """Return MuJoCo's type and sizes of a published shape."""
+def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float], float]:
+    """Return MuJoCo's type and sizes of a published shape, and its volume in m3."""
     kind = mujoco.mjtGeom
     if shape["shape"] == "box":
-        return kind.mjGEOM_BOX, [side / 2 for side in shape["size"]]
+        return kind.mjGEOM_BOX, [side / 2 for side in shape["size"]], math.prod(shape["size"])
+    radius_m, disc_m2 = shape["radius"], math.pi * shape["radius"] ** 2
     if shape["shape"] == "cylinder":
-        return kind.mjGEOM_CYLINDER, [shape["radius"], shape["length"] / 2, 0]
-    return kind.mjGEOM_SPHERE, [shape["radius"], 0, 0]
+        size = [radius_m, shape["length"] / 2, 0]
+        return kind.mjGEOM_CYLINDER, size, disc_m2 * shape["length"]
+    return kind.mjGEOM_SPHERE, [radius_m, 0, 0], disc_m2 * 4 / 3 * radius_m
 
 
 def _volume_m3(shape: Link) -> float:
-    if shape["shape"] == "box":
-        return math.prod(shape["size"])
-    disc = math.pi * shape["radius"] ** 2
-    return disc * (shape["length"] if shape["shape"] == "cylinder" else 4 / 3 * shape["radius"])
+    return _primitive(shape)[2]
 
 
 def _quaternion(rpy_rad: list[float]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from typing import Literal
@@ -32,82 +32,52 @@ class Motor:
 
 @dataclass(frozen=True)
 class Part:
-    """A point of a body whose position enters the mean that measures progress.
-
-    Attributes:
-        link: The link.
-        weight: How many parts of the model the point stands for.
-        point: The link's centre of mass, or the origin of its frame, which is its joint.
-    """
+    """A point of a body whose position enters the mean that measures progress."""
 
     link: str
-    weight: float
+    weight: float  #: how many parts of the model the point stands for
+    #: the link's centre of mass, or the origin of its frame, which is its joint
     point: Literal["center", "origin"] = "center"
 
 
 @dataclass(frozen=True)
 class AliveRule:
-    """When a body counts as upright: it earns +1 per step upright and -1 otherwise.
+    """When a body counts as upright: it earns +1 per step upright and -1 otherwise."""
 
-    Attributes:
-        min_height_m: Height the torso must exceed.
-        max_pitch_rad: Pitch the torso must stay below, in absolute value.
-        no_contact: Names of feet that must not touch the floor.
-        terminates: Whether the episode ends when the body is no longer upright.
-    """
-
-    min_height_m: float = -float("inf")
-    max_pitch_rad: float = float("inf")
-    no_contact: tuple[str, ...] = ()
-    terminates: bool = False
+    min_height_m: float = -float("inf")  #: height the torso must exceed
+    max_pitch_rad: float = float("inf")  #: pitch it must stay below, in absolute value
+    no_contact: tuple[str, ...] = ()  #: feet that must not touch the floor
+    terminates: bool = False  #: whether the episode ends when the body is no longer upright
 
 
 @dataclass(frozen=True)
 class View:
-    """How a body's camera looks at it, following it along the floor.
+    """How a body's camera looks at it, following it along the floor."""
 
-    Attributes:
-        direction: Of view, in the world (x, y, z).
-        look_at_m: Height of what is in the middle of the picture.
-        span_m: Extent of what is seen there: its width for PyBullet's bodies, which are long, its
-            height for MuJoCo's, which are tall.
-    """
-
-    direction: tuple[float, float, float]
-    look_at_m: float
+    direction: tuple[float, float, float]  #: of view, in the world (x, y, z)
+    look_at_m: float  #: height of what is in the middle of the picture
+    #: extent of what is seen there: width of PyBullet's bodies, which are long, height of MuJoCo's
     span_m: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Body:
-    """One entry of the registry: what every simulator's bodies have.
+    """One entry of the registry: what every simulator's bodies have."""
 
-    Attributes:
-        name: Name in the paper, for example "HC2".
-        family: Bodies of one family share observation and task.
-        description: One sentence for tables and figure captions.
-        build: Returns the model file's text (MJCF).
-        motors: The actuators, in the order of the action and of the joints in the model.
-        length: Name and value, in metres, of what sets the body apart in its family.
-        varied: Links that have that length.
-        view: How it is looked at.
-        max_steps: Control steps after which an episode is cut off.
-        parameters: What can be chosen of it, and its choice, by name.
-        variants: Returns the body for other values of its parameters.
-    """
-
-    name: str
-    family: str
-    engine: Engine
-    description: str
-    build: Callable[[], str] = field(repr=False, compare=False)
-    motors: tuple[Motor, ...]
-    length: tuple[str, float]
-    varied: tuple[str, ...]
-    view: View
+    name: str  #: in the paper, for example "HC2"
+    family: str  #: bodies of one family share observation and task
+    engine: Engine  #: what moves it
+    description: str  #: one sentence for tables and figure captions
+    build: Callable[[], str] = field(repr=False, compare=False)  #: returns the MJCF text
+    motors: tuple[Motor, ...]  #: in the order of the action and of the joints in the model
+    length: tuple[str, float]  #: name and value in m of what sets the body apart in its family
+    varied: tuple[str, ...]  #: links that have that length
+    view: View  #: how it is looked at
     control_step_s: float
-    max_steps: int = MAX_STEPS
+    max_steps: int = MAX_STEPS  #: control steps after which an episode is cut off
+    #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
+    #: returns the body for other values of its parameters
     variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -139,24 +109,17 @@ class Body:
 class BulletBody(Body):
     """A body of PyBullet's locomotion tasks.
 
-    Attributes:
-        root: Link whose pose and velocity enter the observation.
-        root_joints: Joints along which a planar root moves (x, z, pitch); empty if it floats.
-        feet: Links whose floor contact is observed, in the order of the observation.
-        parts: The points in the mean position that measures progress, the root first. The mean
-            runs over all links of the model and the floor; a point stands for every link that
-            coincides with it or whose position follows from it.
-        n_parts: Number of parts in that mean.
-        alive: The alive rule.
+    Progress is measured by a mean position, over all links of the model and the floor. In `parts`
+    a point stands for every link that coincides with it or whose position follows from it.
     """
 
     engine: Engine = "bullet"
-    control_step_s: float = 0.0165  # of PyBullet's locomotion tasks
-    root: str
-    root_joints: tuple[str, ...]
-    feet: tuple[str, ...]
-    parts: tuple[Part, ...]
-    n_parts: int
+    control_step_s: float = 0.0165  #: of PyBullet's locomotion tasks
+    root: str  #: link whose pose and velocity enter the observation
+    root_joints: tuple[str, ...]  #: along which a planar root moves (x, z, pitch), or none
+    feet: tuple[str, ...]  #: links whose floor contact is observed, in the observation's order
+    parts: tuple[Part, ...]  #: the points in the mean, the root first
+    n_parts: int  #: number of parts in the mean
     alive: AliveRule
 
     @property
@@ -171,13 +134,9 @@ class Skeleton:
 
     Shoulder, elbow, hip and knee are the bodies whose origin lies in that joint, for example the
     upper and the lower arm.
-
-    Attributes:
-        torso: The body whose frame is the torso frame.
-        axes: The axes of that frame that point forward, left and up.
     """
 
-    torso: str
+    torso: str  #: whose frame is the torso frame
     head: str
     left_shoulder: str
     left_elbow: str
@@ -191,7 +150,7 @@ class Skeleton:
     right_hip: str
     right_knee: str
     right_foot: str
-    axes: str = "xyz"
+    axes: str = "xyz"  #: of the torso frame, those that point forward, left and up
 
     @classmethod
     def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
@@ -211,26 +170,16 @@ class Skeleton:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class MujocoBody(Body):
-    """A humanoid in MuJoCo: a free root joint first, then hinges.
-
-    Attributes:
-        skeleton: Its landmarks.
-        n_substeps: Simulation steps in one control step; the model's timestep times this is
-            `control_step_s`.
-        standing_pose: Position of all joints when it stands, soles on the floor, (nq,).
-        standing_head_m: Height of the head from which the reward counts it as standing.
-        fall_head_m: Height of the head below which an episode ends.
-        target_speed_m_s: Speed of the centre of mass that earns the full reward.
-    """
+    """A humanoid in MuJoCo: a free root joint first, then hinges."""
 
     engine: Engine = "mujoco"
-    control_step_s: float = 0.025
-    skeleton: Skeleton
-    n_substeps: int = 5
-    standing_pose: tuple[float, ...]
-    standing_head_m: float
-    fall_head_m: float
-    target_speed_m_s: float
+    control_step_s: float = 0.025  #: the model's timestep times `n_substeps`
+    skeleton: Skeleton  #: its landmarks
+    n_substeps: int = 5  #: simulation steps in one control step
+    standing_pose: tuple[float, ...]  #: of all joints when it stands, soles on the floor, (nq,)
+    standing_head_m: float  #: height of the head from which the reward counts it as standing
+    fall_head_m: float  #: height of the head below which an episode ends
+    target_speed_m_s: float  #: of the centre of mass, what earns the full reward
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -261,35 +210,35 @@ class GymnasiumBody(Body):
 # ---------------------------------------------------------------- PyBullet's model files
 
 
-def pybullet_model(name: str) -> str:
-    """Return PyBullet's own `pybullet_data/mjcf/<name>`, byte for byte.
+def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[float]]) -> str:
+    """Return PyBullet's own `pybullet_data/mjcf/<file>` with some attributes replaced.
+
+    The rest of the text stays as it is, byte for byte, so that two bodies of a family differ
+    exactly where they are meant to.
+
+    Args:
+        file: The file's name.
+        edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
 
     Raises:
-        SilemError: If the installed `pybullet_data` lacks the file.
+        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
+            attribute, or there is more than one.
     """
     try:
-        return (files("pybullet_data") / "mjcf" / name).read_bytes().decode("utf-8")
+        xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")
     except OSError as error:
-        raise SilemError(f"pybullet_data has no model {name!r} ({error})") from error
-
-
-def set_attribute(xml: str, tag: str, name: str, attribute: str, value: str) -> str:
-    """Return `xml` with one attribute of the one element `<tag name="name">` replaced.
-
-    The rest of the text stays as it is, comments and order of attributes included, so that two
-    bodies of a family differ exactly where they are meant to.
-
-    Raises:
-        SilemError: If there is no such element or attribute, or more than one.
-    """
-    elements = [m for m in re.finditer(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in m[0]]
-    if len(elements) != 1:
-        raise SilemError(f"{len(elements)} elements <{tag} name={name!r}> in the model, not one")
-    pattern = rf'(\s{attribute}=")[^"]*(")'
-    edited, count = re.subn(pattern, lambda m: m[1] + value + m[2], elements[0][0])
-    if count != 1:
-        raise SilemError(f"<{tag} name={name!r}> has no attribute {attribute!r}")
-    return xml[: elements[0].start()] + edited + xml[elements[0].end() :]
+        raise SilemError(f"pybullet_data has no model {file!r} ({error})") from error
+    for (tag, name, attribute), values in edits.items():
+        elements = [m for m in re.finditer(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in m[0]]
+        if len(elements) != 1:
+            raise SilemError(f"{len(elements)} elements <{tag} name={name!r}> in {file}, not one")
+        (element,) = elements
+        pattern, value = rf'(\s{attribute}=")[^"]*(")', numbers(*values)
+        edited, count = re.subn(pattern, rf"\g<1>{value}\g<2>", element[0])
+        if count != 1:
+            raise SilemError(f"<{tag} name={name!r}> has no attribute {attribute!r}")
+        xml = xml[: element.start()] + edited + xml[element.end() :]
+    return xml
 
 
 def numbers(*values: float) -> str:

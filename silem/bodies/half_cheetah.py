@@ -5,17 +5,7 @@ from __future__ import annotations
 from functools import partial
 from itertools import product
 
-from silem.bodies.body import (
-    AliveRule,
-    BulletBody,
-    Engine,
-    Motor,
-    Part,
-    View,
-    numbers,
-    pybullet_model,
-    set_attribute,
-)
+from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
 
 FAMILY = "halfcheetah"
 ENGINE: Engine = "bullet"
@@ -23,14 +13,7 @@ ENGINE: Engine = "bullet"
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 
 _POWER = 0.90  # of PyBullet's HalfCheetah task, on top of each joint's coefficient
-_COEFFICIENTS = {
-    "bthigh": 120.0,
-    "bshin": 90.0,
-    "bfoot": 60.0,
-    "fthigh": 140.0,
-    "fshin": 60.0,
-    "ffoot": 30.0,
-}
+_COEFFICIENTS = {"bthigh": 120, "bshin": 90, "bfoot": 60, "fthigh": 140, "fshin": 60, "ffoot": 30}
 _LOWER_LIMBS = ("bshin", "bfoot", "fshin", "ffoot")
 _HEAD_OVERHANG_M = 0.1  # from the torso's front end to the middle of the head
 
@@ -41,16 +24,15 @@ def model(torso_length_m: float) -> str:
     The torso's capsule is stretched; the head and both thighs keep hanging on its ends. Length 1
     is PyBullet's own file, byte for byte.
     """
-    xml = pybullet_model("half_cheetah.xml")
-    if torso_length_m == TORSO_LENGTHS_M["HC0"]:
-        return xml
     half = torso_length_m / 2
-    span = numbers(-half, 0, 0, half, 0, 0)
-    head = numbers(half + _HEAD_OVERHANG_M, 0, 0.1)
-    xml = set_attribute(xml, "geom", "torso", "fromto", span)
-    xml = set_attribute(xml, "geom", "head", "pos", head)
-    xml = set_attribute(xml, "body", "bthigh", "pos", numbers(-half, 0, 0))
-    return set_attribute(xml, "body", "fthigh", "pos", numbers(half, 0, 0))
+    edits = {
+        ("geom", "torso", "fromto"): (-half, 0, 0, half, 0, 0),
+        ("geom", "head", "pos"): (half + _HEAD_OVERHANG_M, 0, 0.1),
+        ("body", "bthigh", "pos"): (-half, 0, 0),
+        ("body", "fthigh", "pos"): (half, 0, 0),
+    }
+    original = torso_length_m == TORSO_LENGTHS_M["HC0"]
+    return pybullet_model("half_cheetah.xml", {} if original else edits)
 
 
 def body(name: str, torso_length_m: float) -> BulletBody:

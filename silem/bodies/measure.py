@@ -24,11 +24,7 @@ _ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def describe(body: Body) -> dict[str, Any]:
-    """Return what `silem.bodies.describe` does.
-
-    PyBullet ignores the model files' `settotalmass`, and its masses follow its own densities, so
-    they are read from a loaded body.
-    """
+    """Return what `silem.bodies.describe` does."""
     model = spec(body).compile()
     masses, joints = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(model)
     masses = {name: mass for name, mass in masses.items() if mass > 0}
@@ -53,8 +49,9 @@ def spec(body: Body) -> mujoco.MjSpec:
     Raises:
         SilemError: If MuJoCo rejects the model.
     """
-    is_bullet = isinstance(body, BulletBody)
-    xml = re.sub(r"<inertial\b[^>]*/>", "", body.model_xml()) if is_bullet else body.model_xml()
+    xml = body.model_xml()
+    if isinstance(body, BulletBody):
+        xml = re.sub(r"<inertial\b[^>]*/>", "", xml)
     try:
         read = mujoco.MjSpec.from_string(xml)
     except ValueError as error:
@@ -69,11 +66,10 @@ def spec(body: Body) -> mujoco.MjSpec:
 def _lengths_m(model: mujoco.MjModel) -> dict[str, float]:
     """Return the length of each named capsule and cylinder, and the radius of each sphere."""
     lengths = {}
-    for index, (kind, size) in enumerate(
-        zip(model.geom_type.tolist(), model.geom_size.tolist(), strict=True)
-    ):
-        if (name := model.geom(index).name) and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
-            lengths[name] = round(2 * size[1] if kind in _ROUND else size[0], 6)
+    for geom in map(model.geom, range(model.ngeom)):
+        kind, (radius, half, _) = int(geom.type[0]), geom.size.tolist()
+        if geom.name and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[geom.name] = round(2 * half if kind in _ROUND else radius, 6)
     return lengths
 
 
@@ -81,6 +77,7 @@ _Measured = tuple[dict[str, float], dict[str, tuple[float, float] | None]]  # ma
 
 
 def _in_bullet(body: BulletBody) -> _Measured:
+    """Read off a loaded body: PyBullet ignores `settotalmass` and has densities of its own."""
     client = pybullet.connect(pybullet.DIRECT)
     try:
         robot = load(body, client)
@@ -96,12 +93,8 @@ def _in_bullet(body: BulletBody) -> _Measured:
 
 
 def _in_mujoco(model: mujoco.MjModel) -> _Measured:
-    limits = {
-        model.joint(index).name: tuple(model.jnt_range[index].tolist())
-        if model.jnt_limited[index]
-        else None
-        for index in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
-    }
+    joints = map(model.joint, np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
+    limits = {j.name: tuple(j.range.tolist()) if j.limited[0] else None for j in joints}
     return {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}, limits
 
 
@@ -130,10 +123,7 @@ def joint_infos(robot: int, client: int) -> list[tuple[Any, ...]]:
 
 
 def link_names(robot: int, client: int) -> dict[str, int]:
-    """Return the number of every named link, the base included.
-
-    The base comes first: where a link proper has the same name, the link it is.
-    """
+    """Return the number of every named link, and of the base unless a link has its name."""
     base = pybullet.getBodyInfo(robot, physicsClientId=client)[0].decode()
     links = {info[12].decode(): index for index, info in enumerate(joint_infos(robot, client))}
     return {base: BASE} | links

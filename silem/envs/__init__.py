@@ -9,41 +9,25 @@ import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
-
 from silem import bodies
-from silem.bodies import Body, Entry
-from silem.util.errors import SilemError
+from silem.bodies import Body
+from silem.util.errors import COUNT, SilemError, check_numbers
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
     from silem.envs.base import BatchedEnv, SingleEnv
-    from silem.envs.bullet import BulletEnv, BulletVecEnv
     from silem.envs.camera import Camera
-    from silem.envs.mujoco import MujocoEnv, MujocoVecEnv
 
-_MODULES = {
-    "BatchedEnv": "silem.envs.base",
-    "BulletEnv": "silem.envs.bullet",
-    "BulletVecEnv": "silem.envs.bullet",
-    "Camera": "silem.envs.camera",
-    "MujocoEnv": "silem.envs.mujoco",
-    "MujocoVecEnv": "silem.envs.mujoco",
-    "SingleEnv": "silem.envs.base",
-}
-_NAMES = {"bullet": "Bullet", "mujoco": "Mujoco"}  # of their classes, Env and VecEnv
+_MODULES = {"BatchedEnv": "base", "SingleEnv": "base", "Camera": "camera"}
 
-__all__ = [
-    "BatchedEnv", "BulletEnv", "BulletVecEnv", "Camera", "MujocoEnv", "MujocoVecEnv", "SingleEnv",
-    "make_vec",
-]  # fmt: skip
+__all__ = ["BatchedEnv", "Camera", "SingleEnv", "make_vec"]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_MODULES[name]), name)
+    return getattr(importlib.import_module(f"silem.envs.{_MODULES[name]}"), name)
 
 
 def make_vec(
@@ -52,19 +36,20 @@ def make_vec(
     """Make E environments with the same body, stepped as one.
 
     Args:
-        body: A body or its name, for example "HC2".
-        n_envs: How many environments, E.
+        body: A body or its name, for example "HC2", or the id of a Gymnasium environment.
+        n_envs: E, at least 1.
         seed: Root of all environments' random streams.
         max_steps: Steps after which an episode is cut off; None means the body's.
-        **options: What a humanoid's takes beside (see `MujocoVecEnv`), or a Gymnasium environment.
+        **options: A Gymnasium environment's own, or a humanoid's: `n_threads` that step it
+            (results do not depend on them), `speed_m_s` that earns the full reward (None means
+            the body's), and as `starts` states that episodes start from, positions (S, nq) and
+            velocities (S, nv) (None means the standing pose, small noise).
 
     Raises:
         SilemError: If an argument is not allowed; the message says what is.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    make = _batch_of_gymnasium
-    if found.engine in _NAMES:
-        make = __getattr__(f"{_NAMES[found.engine]}VecEnv")
+    make = _batch_of_gymnasium if found.engine == "gymnasium" else __getattr__("BatchedEnv")
     return make(found, n_envs=n_envs, seed=seed, max_steps=max_steps, **options)
 
 
@@ -72,11 +57,11 @@ def _batch_of_gymnasium(
     body: Body, n_envs: int, seed: int, max_steps: int | None, **options: Any
 ) -> VecEnv:
     """Make E environments of a Gymnasium id: stable-baselines3's own batch, one after another."""
+    import gymnasium
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    if n_envs < 1:
-        raise SilemError(f"n_envs is {n_envs!r}; allowed: whole numbers from 1")
+    check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
     limit = body.max_steps if max_steps is None else max_steps
     make = functools.partial(gymnasium.make, body.name, max_episode_steps=limit, **options)
     try:
@@ -85,21 +70,3 @@ def _batch_of_gymnasium(
         raise SilemError(f"{body.name} cannot be made: {error}") from error
     env.seed(seed)
     return env
-
-
-def _register_id(body: Body | Entry) -> None:
-    """Give a body its Gymnasium id, `silem/<name>-v0`, unless it is Gymnasium's own."""
-    if body.engine not in _NAMES:
-        return
-    name = f"{_NAMES[body.engine]}Env"
-    key = f"silem/{body.name}-v0"
-    gymnasium.registry.pop(key, None)  # a body's that this one replaces
-    gymnasium.register(
-        key,
-        entry_point=f"{_MODULES[name]}:{name}",
-        max_episode_steps=body.max_steps,
-        kwargs={"body": body.name},
-    )
-
-
-bodies.watch(_register_id)

@@ -1,13 +1,16 @@
-"""What all environments share, single and batched: arguments, seeds, pictures, what is refused.
+"""Environments of a body, one by itself or E in a batch, whichever simulator moves it.
 
-A simulator's environments say how an episode begins and goes on.
+A simulator is a module of this package with a `Simulation`: E bodies and the task that they do.
+The rest is here: arguments, seeds, episodes and what is told of them, pictures, what is refused.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -19,86 +22,108 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.camera import Camera
-from silem.util.errors import SilemError, choose
+from silem.util.errors import COUNT, SilemError, check_numbers, choose
 
 RENDER_MODES = ("rgb_array",)
+SIMULATORS = ("bullet", "mujoco")
+
+Infos = list[dict[str, Any]]
 
 
-def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return actions of the given shape as float32.
+class Simulation(ABC):
+    """E bodies in their simulator, and the task that they do: what an environment drives."""
 
-    Raises:
-        SilemError: If the shape is another, or a number is not finite.
-    """
-    try:
-        array = np.asarray(actions, dtype=np.float32)
-    except (TypeError, ValueError) as error:
-        raise SilemError(f"actions are not numbers: {error}") from error
-    if array.shape != shape:
-        raise SilemError(f"actions of shape {array.shape}; expected {shape}")
-    if not math.isfinite(np.add.reduce(array, axis=None)):
-        raise SilemError("actions contain NaN or infinity")
-    return array
+    observation_space: gymnasium.spaces.Box
+
+    @abstractmethod
+    def begin(
+        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+    ) -> tuple[np.ndarray, Infos]:
+        """Start an episode of some bodies (n,); return first observations (n, O) and infos."""
+
+    @abstractmethod
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Infos]:
+        """Step by actions (E, A); return observations (E, O), rewards, who fell, both (E,), infos.
+
+        The arrays are new ones. A body that fell is left as it is.
+        """
+
+    @abstractmethod
+    def summary(self, index: int, n_steps: int, max_steps: int) -> dict[str, float]:
+        """Return `speed_m_s` and `upright` of an episode that has run for a number of steps."""
+
+    @abstractmethod
+    def pose(self) -> np.ndarray:
+        """Return the joint positions (nq,) of the first body, as MuJoCo orders them."""
+
+    def close(self) -> None:  # noqa: B027  not every simulator has anything to give back
+        """Forget the past: what `begin` gives next is as new; closing twice is allowed."""
 
 
-class Filmed:
-    """A body's environment, with a camera that is set up when the first picture is wanted.
+class _Filmed:
+    """A body's simulation, with a camera that is set up when the first picture is wanted.
 
     Attributes:
         body: The body.
+        simulation: What steps it.
         render_mode: "rgb_array" to be able to render, or None.
         metadata: The render modes there are, and as `render_fps` the control steps per second.
         picture_size: Width and height in pixels, to be set before the first picture.
     """
 
-    body: Body
-    render_mode: str | None
-    metadata: dict[str, Any]
     picture_size: tuple[int, int] = (640, 480)
-    _kind: type[Body]
-    _space: Callable[[Any], gymnasium.spaces.Box]  # of a body's observations
-    _is_reset: bool = False  # whether there is an episode to go on with
+    metadata: dict[str, Any]
+    _is_reset = False  # whether there is an episode to go on with
     _camera: Camera | None = None
 
     def _set_up(
-        self, body: Body | str, render_mode: str | None
+        self, body: Body | str, n: int, render_mode: str | None, options: dict[str, Any]
     ) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
-        """Take the body and return the spaces of its observations and actions."""
-        self.body = bodies.of_kind(body, self._kind)
+        """Prepare N bodies, and return the spaces of their observations and actions."""
+        self.body = bodies.get(body) if isinstance(body, str) else body
         if render_mode is not None:
             choose("render mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
         fps = round(1 / self.body.control_step_s)
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": fps}
+        choose("simulator", self.body.engine, SIMULATORS)
+        simulator = importlib.import_module(f"silem.envs.{self.body.engine}")
+        self.simulation: Simulation = simulator.Simulation(self.body, n, **options)
         actions = gymnasium.spaces.Box(-1.0, 1.0, (self.body.action_size,), np.float32)
-        return self._space(self.body), actions
+        return self.simulation.observation_space, actions
 
-    def _prepare(self, n: int, **options: Any) -> None:
-        """Prepare N bodies; the options are those of the simulator's environments."""
-        if options:
-            raise TypeError(f"{type(self).__name__} takes no {', '.join(options)}")
-
-    def _qpos(self) -> np.ndarray:
-        """Return the joint positions (nq,) of the body, or of the first of several."""
-        raise NotImplementedError
+    def _check(self, actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """Return actions as float32; raises SilemError unless they are finite and of the shape."""
+        try:
+            array = np.asarray(actions, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise SilemError(f"actions are not numbers: {error}") from error
+        if array.shape != shape:
+            raise SilemError(f"actions of shape {array.shape}; expected {shape}")
+        if not math.isfinite(np.add.reduce(array, axis=None)):
+            raise SilemError("actions contain NaN or infinity")
+        if not self._is_reset:
+            raise SilemError("step before reset")
+        return array
 
     def _picture(self) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8; raises SilemError where there can be none."""
+        """Return a picture (H, W, 3), uint8, of the first body."""
         if not self._is_reset:
             raise SilemError("render before reset")
         if self._camera is None:
             self._camera = Camera(self.body, *self.picture_size)
-        return self._camera.picture(self._qpos())
+        return self._camera.picture(self.simulation.pose())
 
     def close(self) -> None:
-        """Give back the camera; closing twice is allowed."""
+        """Give back camera and simulator; closing twice is allowed."""
         self._is_reset = False
+        self.simulation.close()
         if self._camera is not None:
             self._camera.close()
             self._camera = None
 
 
-class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
+class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     """One body as a Gymnasium environment; `gymnasium.make("silem/HC0-v0")` limits its steps."""
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES)}  # noqa: RUF012
@@ -111,50 +136,32 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         height: int = 480,
         **options: Any,
     ) -> None:
-        """Make the environment.
+        """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
-        Args:
-            body: A body or its name.
-            render_mode: "rgb_array" to be able to render, or None.
-            width: Of the pictures, in pixels.
-            height: Of the pictures, in pixels.
-            **options: What the class names.
+        Pictures of `width` times `height` pixels need the render mode "rgb_array".
 
         Raises:
             SilemError: If an argument is not allowed.
         """
-        self.observation_space, self.action_space = self._set_up(body, render_mode)
+        self.observation_space, self.action_space = self._set_up(body, 1, render_mode, options)
         self.picture_size = width, height
-        self._prepare(1, **options)
-
-    def _begin(self) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; return its first observation (O,) and info."""
-        raise NotImplementedError
-
-    def _advance(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
-        """Step by one control step; return observation (O,), reward, whether it fell, info."""
-        raise NotImplementedError
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; a seed makes it, and what follows, repeatable.
+        """Start an episode; return its first observation (O,), float32, and info, as `step` does.
 
-        Returns:
-            The first observation (O,), float32, and the body's info (see `step`).
+        A seed makes it, and what follows, repeatable.
         """
         super().reset(seed=seed)
-        begun = self._begin()
+        (observation,), (info,) = self.simulation.begin(np.zeros(1, int), [self.np_random])
         self._is_reset = True
-        return begun
+        return observation, info
 
     def step(
         self, action: np.ndarray
     ) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step by one control step.
-
-        Args:
-            action: (A,); torques are clipped at -1 and 1.
+        """Step by one control step with an action (A,); torques are clipped at -1 and 1.
 
         Returns:
             Observation (O,), float32, reward, whether the body has fallen, False, and an info:
@@ -163,29 +170,26 @@ class SingleEnv(Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             SilemError: If the action has another shape or is not finite, or before `reset`.
         """
-        checked = check_actions(action, (self.body.action_size,))
-        if not self._is_reset:
-            raise SilemError("step before reset")
-        observation, reward, fallen, info = self._advance(checked)
-        return observation, reward, fallen, False, info
+        action = self._check(action, (self.body.action_size,))
+        (observation,), rewards, fallen, (info,) = self.simulation.step(action[None])
+        return observation, float(rewards[0]), bool(fallen[0]), False, info
 
     def render(self) -> np.ndarray | None:
         """Return a picture (H, W, 3), uint8, or None without a render mode.
 
-        Raises:
-            SilemError: Before `reset`, or where nothing can be drawn.
+        Raises SilemError before `reset`, or where nothing can be drawn.
         """
         return None if self.render_mode is None else self._picture()
 
 
-class BatchedEnv(Filmed, VecEnv):
+class BatchedEnv(_Filmed, VecEnv):
     """E environments with the same body, behind one object.
 
     An environment that ends is reset at once, as stable-baselines3 expects. Its info then holds
     `terminal_observation` (O,), `TimeLimit.truncated` (whether only the step limit ended it) and,
     as from stable-baselines3's `Monitor`, `episode`: return `r`, length `l`, seconds since the
-    environments were built `t`, beside it mean speed `speed_m_s` and share of the steps upright
-    `upright`.
+    environments were built `t`, beside it speed `speed_m_s` and share of the steps `upright`.
+    Humanoids' infos, of `reset` and `step`, hold "skeletal_features" (F,).
 
     After `seed(s)`, `reset()` makes everything that follows equal, bit for bit, to a newly made
     instance with that seed, whatever happened before.
@@ -203,102 +207,90 @@ class BatchedEnv(Filmed, VecEnv):
         render_mode: str | None = "rgb_array",
         **options: Any,
     ) -> None:
-        """Make the environments.
-
-        Args:
-            body: A body or its name.
-            n_envs: E, at least 1.
-            seed: Root of all environments' random streams.
-            max_steps: Steps after which an episode is cut off; None means the body's.
-            render_mode: "rgb_array" or None.
-            **options: What the class names.
+        """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None.
 
         Raises:
             SilemError: If an argument is not allowed.
         """
-        spaces = self._set_up(body, render_mode)
-        max_steps = self.body.max_steps if max_steps is None else max_steps
-        for name, value in (("n_envs", n_envs), ("max_steps", max_steps)):
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-                raise SilemError(f"{name} is {value!r}; allowed: whole numbers from 1")
-        self.max_steps = int(max_steps)
-        self._generators: list[np.random.Generator] = []
-        self._built_at = time.perf_counter()
-        self._actions: np.ndarray | None = None
+        check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
+        spaces = self._set_up(body, int(n_envs), render_mode, options)
         metadata = self.metadata
         super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
+        self.max_steps = self.body.max_steps if max_steps is None else max_steps
+        check_numbers({"max_steps": self.max_steps}, {"max_steps": COUNT})
+        self._generators: list[np.random.Generator] = []
+        self._lengths, self._returns = np.zeros(n_envs, dtype=int), np.zeros(n_envs)
+        self._actions: np.ndarray | None = None
+        self._built_at = time.perf_counter()
         self.seed(seed)
-        self._prepare(self.num_envs, **options)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Set the root of all random streams, None to draw one, for the next `reset`.
-
-        Raises:
-            SilemError: If the seed is negative or not a whole number.
-        """
+        """Set the root of all random streams, from 0, or None to draw it, for the next `reset`."""
         if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
             raise SilemError(f"seed is {seed!r}; allowed: whole numbers from 0")
         root = np.random.SeedSequence(None if seed is None else int(seed))
         self._next_generators = [np.random.default_rng(s) for s in root.spawn(self.num_envs)]
         return [seed] * self.num_envs
 
-    def _restart(self, is_seeded: bool) -> np.ndarray:
-        """Start an episode everywhere, fill `reset_infos`, return first observations (E, O)."""
-        raise NotImplementedError
-
-    def _advance(self, actions: np.ndarray) -> VecEnvStepReturn:
-        """Do what `step_wait` does, with these actions (E, A)."""
-        raise NotImplementedError
-
     def reset(self) -> np.ndarray:
         """Start a new episode in every environment; return first observations (E, O), float32."""
-        is_seeded = bool(self._next_generators)
-        if is_seeded:
+        if self._next_generators:
+            self.simulation.close()
             self._generators, self._next_generators = self._next_generators, []
         self._actions = None
-        observations = self._restart(is_seeded)
+        observations = self._begin(np.arange(self.num_envs))
         self._is_reset = True
+        return observations
+
+    def _begin(self, indices: np.ndarray) -> np.ndarray:
+        """Start an episode in some environments (n,); return their observations (n, O)."""
+        self._lengths[indices], self._returns[indices] = 0, 0.0
+        chosen = indices.tolist()
+        observations, infos = self.simulation.begin(indices, [self._generators[i] for i in chosen])
+        for index, info in zip(chosen, infos, strict=True):
+            self.reset_infos[index] = info
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take (E, A) actions for the next `step_wait`.
 
-        Raises:
-            SilemError: If they have another shape or are not finite.
+        Raises SilemError if they have another shape or are not finite, or before `reset`.
         """
-        self._actions = check_actions(actions, (self.num_envs, self.body.action_size))
+        self._actions = self._check(actions, (self.num_envs, self.body.action_size))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step every environment by one control step.
-
-        Returns:
-            Observations (E, O) and rewards (E,), float32, dones (E,) and E infos.
-
-        Raises:
-            SilemError: If the environments were not reset, or there is no action.
-        """
-        if self._actions is None or not self._is_reset:
-            raise SilemError("step before reset, or step_wait without step_async")
+        """Step; return observations (E, O), rewards (E,), both float32, dones (E,) and E infos."""
+        if self._actions is None:
+            raise SilemError("step_wait without step_async")
         actions, self._actions = self._actions, None
-        return self._advance(actions)
+        observations, rewards, fallen, infos = self.simulation.step(actions)
+        self._lengths += 1
+        self._returns += rewards
+        dones = fallen | (self._lengths >= self.max_steps)
+        if np.count_nonzero(dones):
+            ended = dones.nonzero()[0]
+            for index in ended.tolist():
+                infos[index]["terminal_observation"] = observations[index].copy()
+                infos[index]["TimeLimit.truncated"] = not fallen[index]
+                infos[index]["episode"] = self._summary(index)
+            observations[ended] = self._begin(ended)
+        return observations, rewards.astype(np.float32), dones, infos
 
-    def _last_info(
-        self, observation: np.ndarray, terminated: bool, episode: dict[str, float]
-    ) -> dict[str, Any]:
-        """Return the info of an episode that ends with an observation (O,)."""
+    def _summary(self, index: int) -> dict[str, float]:
+        n_steps = int(self._lengths[index])
         return {
-            "terminal_observation": observation,
-            "TimeLimit.truncated": not terminated,
-            "episode": episode | {"t": time.perf_counter() - self._built_at},
+            "r": float(self._returns[index]),
+            "l": n_steps,
+            "t": time.perf_counter() - self._built_at,
+            **self.simulation.summary(index, n_steps, self.max_steps),
         }
 
     def render(self, mode: str | None = None) -> np.ndarray:
         """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
 
-        Raises:
-            SilemError: For any other mode, in environments without a render mode, before the first
-                reset, or where nothing can be drawn.
+        Raises SilemError for any other, without a render mode, before `reset`, or where nothing
+        can be drawn.
         """
         choose("render mode", mode or "rgb_array", RENDER_MODES)
         if self.render_mode is None:
@@ -315,11 +307,7 @@ class BatchedEnv(Filmed, VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments, which share it.
-
-        Raises:
-            SilemError: If there is no such attribute, or it is to be set in some of them only.
-        """
+        """Set an attribute, which there must be, of all environments, which share it."""
         if not hasattr(self, attr_name):
             raise SilemError(f"a {type(self).__name__} has no attribute {attr_name!r} to set")
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
@@ -329,20 +317,11 @@ class BatchedEnv(Filmed, VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Refuse: there are no separate environment objects to call.
-
-        Raises:
-            SilemError: Always.
-        """
-        raise SilemError(
-            f"a {type(self).__name__} has no environments with a method {method_name!r}"
-        )
+        """Refuse: there are no separate environments to call a method of."""
+        raise SilemError(f"a batch has no environments with a method {method_name!r}")
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Tell once per index whether the environments do what a wrapper does.
-
-        There are no wrappers, but an episode's last info is what `Monitor` would put there.
-        """
+        """Tell once per index whether infos are what a wrapper would make them: `Monitor`'s are."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]

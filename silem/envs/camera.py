@@ -33,18 +33,13 @@ class Camera:
     def __init__(
         self, body: Body, width: int = 640, height: int = 480, span_m: float | None = None
     ) -> None:
-        """Set up the camera.
+        """Set up a camera for pictures of `width` times `height` pixels.
 
-        Args:
-            body: Whom to show.
-            width: Of the pictures, in pixels.
-            height: Of the pictures, in pixels.
-            span_m: What is seen at the body, in place of its view's; the same value for several
-                bodies shows them to scale.
+        `span_m` is what is seen at the body, in place of its view's; the same for several bodies
+        shows them to scale.
 
         Raises:
-            SilemError: If the size or the span is not positive, or nothing can be drawn offscreen
-                here.
+            SilemError: A size or the span is not positive, or nothing can be drawn offscreen here.
         """
         span_m = body.view.span_m if span_m is None else span_m
         if min(width, height) < 1 or not span_m > 0:
@@ -71,11 +66,9 @@ class Camera:
         self.picture()  # OpenGL's first differs in a few bits from the next of the same scene
 
     def picture(self, qpos: np.ndarray | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8.
+        """Return a picture (H, W, 3), uint8, in a pose (nq,) in MuJoCo's order.
 
-        Args:
-            qpos: Positions of all joints in MuJoCo's order, (nq,); None for a body at rest: a
-                humanoid stands, a runner's joints are as near zero as they go.
+        None is at rest: a humanoid stands, a runner's joints are as near zero as they go.
         """
         model, data = self._model, self._data
         data.qpos[:] = self._at_rest if qpos is None else qpos

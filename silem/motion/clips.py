@@ -1,9 +1,9 @@
 """Motion capture as CMU publishes it: skeletons (ASF) and clips (AMC), fetched, read and checked.
 
-dm_control turns a frame into a pose (`silem.motion.demonstrator`) but takes every file on trust: a
-bone that is missing shifts all numbers after it. So files are checked here. Of their form much is
-left open, as it differs from file to file: line ends, blank lines, tabs, remarks, upper and lower
-case, the order of sections. Of their numbers nothing is; an error names file, line and bone.
+dm_control, which turns a frame into a pose (`silem.motion.demonstrator`), takes every file on
+trust: a bone that is missing shifts all numbers after it. So files are checked here. In form they
+may differ as they do (line ends, blanks, remarks, case, order of sections), in their numbers not;
+an error names file, line and bone.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ _CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis"
 def mocap_file(name: str) -> Path:
     """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
-    What the cache lacks is downloaded from CMU's server. Either way the content is checked.
+    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what
+    is not CMU's is kept aside in the cache, under the same name and ".mismatch".
 
     Raises:
-        SilemError: The name is unknown, the file is not in that folder, it cannot be downloaded,
-            or its SHA-256 is not the one expected (in the cache it is then kept aside, under the
-            same name and ".mismatch").
+        SilemError: The name is unknown, the file is not in that folder, cannot be downloaded, or
+            has not the SHA-256 expected.
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
     path = (Path(own).expanduser() if own else paths.data_dir() / "mocap") / name
-    cached = path.is_file()
+    cached, kept = path.is_file(), ""
     if own and not cached:
         raise SilemError(f"{path} is missing; {ENV} must hold it, or be unset to download it")
     content = path.read_bytes() if cached else _download(name, path)
@@ -76,12 +76,10 @@ def mocap_file(name: str) -> Path:
         if not cached:
             files.write_bytes(path, content)
         return path
-    kept = ""
     if not own:
-        aside = path.with_name(path.name + ".mismatch")
-        files.write_bytes(aside, content)
+        kept = f"; it is kept as {path}.mismatch"
+        files.write_bytes(path.with_name(f"{path.name}.mismatch"), content)
         path.unlink(missing_ok=True)
-        kept = f"; it is kept as {aside}"
     raise SilemError(
         f"{path} is not CMU's {name} (SHA-256 with LF line ends): found {found},"
         f" expected {SHA256[name]}{kept}"
@@ -91,13 +89,12 @@ def mocap_file(name: str) -> Path:
 def _download(name: str, path: Path) -> bytes:
     try:
         with urllib.request.urlopen(URL + name, timeout=60) as answer:
-            content: bytes = answer.read()
+            return bytes(answer.read())
     except (OSError, ValueError, http.client.HTTPException) as error:
         raise SilemError(
             f"cannot download {URL}{name} ({type(error).__name__}); with no network, put the file"
             f" at {path} by hand, or set {ENV} to a folder that holds {name}"
         ) from error
-    return content
 
 
 @dataclass(frozen=True)
@@ -130,15 +127,11 @@ class AsfSkeleton:
 
 @dataclass(frozen=True)
 class AmcClip:
-    """The frames of a clip.
-
-    Their numbers are in the order of the skeleton's columns: the root's position in the file's unit
-    of length, then angles in degrees.
-    """
+    """The frames of a clip: the root's position in the file's unit, then angles in degrees."""
 
     path: Path
     skeleton: AsfSkeleton
-    frames: np.ndarray  #: (N, C)
+    frames: np.ndarray  #: (N, C) in the order of the skeleton's columns
     first: int = 1  #: number of the first frame
 
 
@@ -219,7 +212,13 @@ def read_asf(path: Path | str) -> AsfSkeleton:
         if more or not name or name in bones:
             raise line.error(f"a bone needs one name of its own, not {' '.join(line.words[1:])!r}")
         bones[name] = _bone(name, block)
-    _check_hierarchy(sections[":hierarchy"], bones)
+    lines, end = sections[":hierarchy"][1:-1], sections[":hierarchy"][-1]
+    if sections[":hierarchy"][0].words != ["begin"] or end.words != ["end"]:
+        raise end.error("the hierarchy is not from 'begin' to 'end': it is truncated")
+    carrying, hanging = {n.words[0] for n in lines}, {bone for n in lines for bone in n.words[1:]}
+    if differing := carrying - {ROOT, *bones} | hanging ^ bones.keys():
+        names = ", ".join(sorted(differing))
+        raise end.error(f"not both described and in the hierarchy: {names}")
     return AsfSkeleton(path, bones)
 
 
@@ -240,23 +239,12 @@ def _bone(name: str, block: list[_Line]) -> Bone:
     return bone
 
 
-def _check_hierarchy(lines: list[_Line], bones: dict[str, Bone]) -> None:
-    if lines[0].words != ["begin"] or lines[-1].words != ["end"]:
-        raise lines[-1].error("the hierarchy is not from 'begin' to 'end': it is truncated")
-    hanging = {bone for line in lines[1:-1] for bone in line.words[1:]}
-    carrying = {line.words[0] for line in lines[1:-1]}
-    if differing := carrying - {ROOT, *bones} | hanging ^ bones.keys():
-        names = ", ".join(sorted(differing))
-        raise lines[-1].error(f"not both described and in the hierarchy: {names}")
-
-
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
     """Read a clip, an AMC file, of a skeleton: frames with a number for every axis of every bone.
 
     Raises:
         SilemError: The file is missing or truncated, is not in degrees, or a frame is out of
-            order, lacks a bone, or has a bone that is unknown, repeated, of the wrong number of
-            values, or holds NaN or infinity.
+            order, lacks a bone, or has one that is unknown, repeated, or has wrong values.
     """
     path = Path(path)
     header, *blocks = _blocks(_lines(path), lambda word: word.isdigit() and len(word) < 10)

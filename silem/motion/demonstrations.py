@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -57,10 +57,8 @@ class Demonstrations:
 
     def __repr__(self) -> str:
         n, n_states = len(self.features), sum(map(len, self.features))
-        of = f" of {self.body}" if self.body else ""
-        return (
-            f"<Demonstrations{of}: {n} trajectories, {n_states} states, {self.n_features} features>"
-        )
+        held = f"{n} trajectories, {n_states} states, {self.n_features} features"
+        return f"<Demonstrations{self.body and f' of {self.body}'}: {held}>"
 
     @property
     def n_features(self) -> int:
@@ -77,27 +75,39 @@ class Demonstrations:
 
     def save(self, path: Path | str) -> None:
         """Write one npz file (no pickle), whole or not at all."""
-        own = (
-            np.concatenate(self.features),
-            np.array([len(array) for array in self.features], dtype=np.int64),
-            np.array(self.returns, dtype=np.float64),
-            np.array(self.body),
-            np.array(self.expert_run_id),
-        )
-        files.write_npz(Path(path), {**dict(zip(_OWN, own, strict=True)), **self.extra})
+        own = {
+            "features": np.concatenate(self.features),
+            "lengths": np.array([len(array) for array in self.features], dtype=np.int64),
+            "returns": np.array(self.returns, dtype=np.float64),
+            "body": np.array(self.body),
+            "expert_run_id": np.array(self.expert_run_id),
+        }
+        files.write_npz(Path(path), own | dict(self.extra))
 
     @classmethod
-    def from_arrays(cls, arrays: Iterable[np.ndarray]) -> Demonstrations:
-        """Wrap (T + 1, F) arrays of numbers, checked as a file's are."""
-        return cls(tuple(_float32(array) for array in arrays))
+    def of(cls, given: Any) -> Demonstrations:
+        """Take demonstrations, or wrap a list of (T + 1, F) arrays, checked as a file's are."""
+        wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
+        if isinstance(given, Demonstrations):
+            return given
+        if given is None:
+            raise SilemError(f"imitation needs demonstrations: {wanted}")
+        if isinstance(given, np.ndarray) and given.ndim == 2:
+            given = f"one array {given.shape}; for one episode, [array]"
+            raise SilemError(f"demonstrations are {given}; allowed: {wanted}")
+        try:
+            return cls(tuple(_float32(array) for array in given))
+        except (TypeError, ValueError) as error:  # a SilemError is a ValueError
+            raise SilemError(
+                f"unusable demonstrations: {reason(error)}; allowed: {wanted}"
+            ) from error
 
     @classmethod
     def load(cls, source: Path | str) -> Demonstrations:
         """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
         Raises:
-            SilemError: If there is no such file, or it is truncated, pickled, not a
-                demonstrations file, or holds anything but finite numbers.
+            SilemError: There is no such file, or it is none or damaged.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -122,10 +132,7 @@ class Demonstrations:
 
 def _float32(array: Any) -> np.ndarray:
     """Return real numbers as float32; text, booleans and complex numbers are no features."""
-    try:
-        found = np.asarray(array)
-    except (TypeError, ValueError) as error:
-        raise SilemError(f"features are no array: {reason(error)}") from error
+    found = np.asarray(array)
     if found.dtype.kind not in "fiu":
         raise SilemError(f"features are {found.dtype}; allowed: real numbers")
     with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
@@ -136,7 +143,6 @@ def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 
     Those that no run makes come with the package, and are found there if not in the data folder.
-    Raises as `silem.util.errors.check_name`.
     """
     path = _own_file(name)
     packaged = not path.exists() and path.stem in _packaged()
@@ -176,10 +182,8 @@ def is_published(name: str) -> bool:
     """Return whether the file is there and the one that the manifest describes.
 
     Whoever was killed between writing the one and the other left them apart. A person's own file,
-    which no expert made and the manifest does not name, stands for itself.
-
-    Raises:
-        SilemError: The manifest is damaged, or a file that it does not name.
+    which no expert made and the manifest does not name, stands for itself. Raises SilemError on a
+    damaged manifest, or a damaged file that it does not name.
     """
     path = file_of(name)
     if not path.exists():
@@ -193,8 +197,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
     Raises:
-        SilemError: The file is missing, damaged, not the one that the manifest describes, or
-            another body's.
+        SilemError: The file is missing, damaged, another body's, or not the manifest's.
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
@@ -220,10 +223,9 @@ def publishing() -> Iterator[None]:
 def publish(
     name: str, demonstrations: Demonstrations, about: Mapping[str, Any] | None = None
 ) -> Path:
-    """Save demonstrations under the data folder, where `Demonstrations.load` finds them by name.
+    """Save demonstrations where `Demonstrations.load` finds them by name, and return the file.
 
-    They are entered in its manifest with what else is to be said `about` them, such as source and
-    licence. Returns the file.
+    The manifest beside it takes what else is to be said `about` them, such as source and licence.
     """
     path = _own_file(name)
     content = _read(path.parent)
@@ -246,7 +248,7 @@ def publish(
 def captured_speed_m_s(name: str) -> float | None:
     """Return the mean speed of the man whose motion was captured, None where there was none.
 
-    Of a retargeted motion it is the man's, not the learner's, which goes slower on shorter legs.
+    A retargeted motion itself is slower on shorter legs.
     """
     if (about := manifest().get(name)) is None:
         return None  # a person's own file

@@ -1,10 +1,9 @@
 """The demonstrator: a motion capture clip posed on dm_control's ``humanoid_CMU``, and its g.
 
-A clip gives the path of a man's pelvis and the angles of his joints. The model that takes them has
-nearly subject 8's bones, but both its legs are as long as his right one (the left is 3 % shorter),
-so its feet need not touch the floor where his did. `pose` sets the clip as a whole on the floor and
-leaves the rest as captured. The way of a man with other legs is scaled to the model's, or its
-planted feet would slide.
+The model has nearly subject 8's bones, but both its legs are as long as his right one (the left is
+3 % shorter), so its feet need not touch the floor where his did. `pose` sets the clip as a whole on
+the floor and leaves the rest as captured. The way of a man with other legs is scaled to the
+model's, or its planted feet would slide.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from silem import bodies
 from silem.bodies.body import Skeleton
 from silem.motion import clips, kinematics
 from silem.motion import demonstrations as demos
-from silem.motion.clips import AmcClip, AsfSkeleton, read_amc, read_asf
+from silem.motion.clips import ROOT, AmcClip, AsfSkeleton, read_amc, read_asf
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.features import skeletal_features
 from silem.motion.kinematics import SIDES, Soles
@@ -49,9 +48,9 @@ SKELETON = Skeleton(
 away, are those from `humanoid_CMU`'s thorax."""
 
 FLOOR_SLOPE = 0.0206
-"""In all of subject 8's clips the floor rises by this much per metre walked, 1.2 degrees: the
-captured coordinates are tilted. A line through the heights at which the feet stand, 67 times in the
-eleven clips, has this slope, with a standard error of 0.0006. Of other clips nothing is known."""
+"""In all of subject 8's clips the floor rises by this much per metre walked: their coordinates are
+tilted. A line through the heights at which the feet stand, 67 times in the eleven clips, has this
+slope, with a standard error of 0.0006. Of other clips nothing is known."""
 
 MAX_HELD_S = 0.1  #: a frame may be held this long for the gap to be closed by interpolation
 MAX_ROOT_ACCELERATION_M_S2 = 600.0  #: 61 times gravity, which no walking man's pelvis reaches
@@ -118,12 +117,11 @@ def pose(
 ) -> Motion:
     """Pose a clip on the demonstrator's model.
 
-    The world is turned so that the walk goes along x, and by the floor's slope, so that the floor
-    is level. The walk starts above the origin, and is lifted (or lowered) as a whole until the
-    lowest point of the feet's shapes in the whole clip is on the floor. Frames that only repeat the
-    one before were held by the recorder, not captured: they are replaced by interpolation. Where
-    the longer of the man's legs is not as long as the model's, his way is scaled by their ratio.
-    `Motion.repairs` says so.
+    The world is turned so that the walk goes along x and the floor is level. The walk starts above
+    the origin, and is lifted as a whole until the lowest point of the feet's shapes in the whole
+    clip is on the floor. Frames that only repeat the one before were held by the recorder, not
+    captured: they are replaced by interpolation. Where the longer of the man's legs is not as long
+    as the model's, his way is scaled by their ratio. `Motion.repairs` says so.
 
     Args:
         clip: The frames.
@@ -135,8 +133,8 @@ def pose(
 
     Raises:
         SilemError: The clip's skeleton is not the model's, a frame is held for longer than
-            0.1 s, the root jumps as no man's can, the clip has no 3 states or goes nowhere, or a
-            rate or the slope is not allowed.
+            `MAX_HELD_S`, the root jumps as no man's can, the clip has no 3 states or goes nowhere,
+            or a rate or the slope is not allowed.
     """
     if not 0 < rate_hz <= capture_rate_hz < float("inf"):
         raise SilemError(
@@ -146,8 +144,7 @@ def pose(
     if not abs(floor_slope) < 1:
         raise SilemError(f"a floor that rises by {floor_slope} m per metre; allowed: below 1")
     _check_skeleton(clip.skeleton)
-    numbers = [clips.ROOT] * 7 + _hinges()
-    to_qpos = Amcvals2qpos(dict(enumerate(numbers)), clip.skeleton.columns)
+    to_qpos = Amcvals2qpos(dict(enumerate([ROOT] * 7 + _hinges())), clip.skeleton.columns)
     captured = np.stack([to_qpos(frame) for frame in clip.frames])
     captured[:, 7:] = np.unwrap(captured[:, 7:], axis=0)
     repairs = _scale_way(captured, clip.skeleton)
@@ -199,13 +196,11 @@ def _check_skeleton(skeleton: AsfSkeleton) -> None:
 
 def _scale_way(captured: np.ndarray, skeleton: AsfSkeleton) -> tuple[str, ...]:
     """Scale the root's way in place from the man's legs to the model's, if they differ."""
-    legs = [
-        skeleton.bones[f"{side}femur"].length + skeleton.bones[f"{side}tibia"].length
-        for side in "lr"
-    ]
-    theirs = float(np.max(legs)) * CONVERSION_LENGTH  # NaN if one is
-    shank, foot = model().body(SKELETON.right_knee).pos, model().body(SKELETON.right_foot).pos
-    ratio = float(np.linalg.norm(shank) + np.linalg.norm(foot)) / theirs if theirs > 0 else np.nan
+    bones, body = skeleton.bones, model().body
+    theirs = np.max([bones[f"{side}femur"].length + bones[f"{side}tibia"].length for side in "lr"])
+    shank, foot = body(SKELETON.right_knee).pos, body(SKELETON.right_foot).pos
+    ours = np.linalg.norm(shank) + np.linalg.norm(foot)
+    ratio = float(ours / (theirs * CONVERSION_LENGTH)) if theirs > 0 else np.nan  # or one is NaN
     if not np.isfinite(ratio):
         raise SilemError(f"{skeleton.path} does not say how long the bones of the legs are")
     if abs(ratio - 1) <= _SAME_LEGS:
@@ -279,8 +274,7 @@ def published_name(clip: str) -> str:
 def published_motion(clip: str) -> Motion:
     """Return the motion that was published for a clip: one of `CLIPS`, or an own one.
 
-    Raises:
-        SilemError: As `silem.motion.demonstrations.load_published`, or it is no such motion.
+    Raises SilemError as `silem.motion.demonstrations.load_published`, or if it is no such motion.
     """
     name = published_name(clip)
     about, (there, _) = demos.entry(name), demos.load_published(name)
@@ -296,18 +290,18 @@ def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> li
     Raises:
         SilemError: As `load_motion`, or another process is publishing.
     """
-    written = []
     with demos.publishing():
-        for clip in tqdm(names, "clips", disable=not progress):
-            about = {
-                "source": f"{clips.URL}08/{clip}.amc",
-                "source_sha256": clips.SHA256[f"08/{clip}.amc"],
-                "skeleton_source": f"{clips.URL}08/08.asf",
-                "licence": clips.LICENCE,
-                "acknowledgement": clips.ACKNOWLEDGEMENT,
-            }
-            written.append(_publish(load_motion(clip), about, CMU_RATE_HZ, FLOOR_SLOPE))
-    return written
+        return [
+            _publish(
+                load_motion(clip), CMU_RATE_HZ, FLOOR_SLOPE,
+                source=f"{clips.URL}08/{clip}.amc",
+                source_sha256=clips.SHA256[f"08/{clip}.amc"],
+                skeleton_source=f"{clips.URL}08/08.asf",
+                licence=clips.LICENCE,
+                acknowledgement=clips.ACKNOWLEDGEMENT,
+            )
+            for clip in tqdm(names, "clips", disable=not progress)
+        ]  # fmt: skip
 
 
 def publish_own(
@@ -315,8 +309,7 @@ def publish_own(
 ) -> Path:
     """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
 
-    Runs find it by its name, "my_walk" for example; what had this name is replaced. Rate and slope
-    are those of `pose`.
+    Runs find it by its name; what had this name is replaced. Rate and slope are those of `pose`.
 
     Raises:
         SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another
@@ -329,22 +322,19 @@ def publish_own(
             " subject 8's clips, no '.', and no '_on_'"
         )
     motion = pose(read_amc(amc, read_asf(asf)), capture_rate_hz, floor_slope=floor_slope)
-    about = {
-        "source": Path(amc).name,
-        "source_sha256": files.sha256(Path(amc)),
-        "skeleton_source": Path(asf).name,
-        "skeleton_sha256": files.sha256(Path(asf)),
-        "licence": "",
-        "acknowledgement": "",
-    }
     with demos.publishing():
-        return _publish(replace(motion, name=name), about, capture_rate_hz, floor_slope)
+        return _publish(
+            replace(motion, name=name), capture_rate_hz, floor_slope,
+            source=Path(amc).name,
+            source_sha256=files.sha256(Path(amc)),
+            skeleton_source=Path(asf).name,
+            skeleton_sha256=files.sha256(Path(asf)),
+            licence="",
+            acknowledgement="",
+        )  # fmt: skip
 
 
-def _publish(
-    motion: Motion, source: dict[str, str], capture_rate_hz: float, floor_slope: float
-) -> Path:
-    extra = {name: getattr(motion, name) for name in _PUBLISHED}
+def _publish(motion: Motion, capture_rate_hz: float, floor_slope: float, **source: str) -> Path:
     about = {
         "clip": motion.name,
         **source,
@@ -357,5 +347,6 @@ def _publish(
         "repairs": list(motion.repairs),
         "features_version": FEATURES_VERSION,
     }
+    extra = {name: getattr(motion, name) for name in _PUBLISHED}
     demonstrations = Demonstrations((motion.features,), body=BODY, extra=extra)
     return demos.publish(published_name(motion.name), demonstrations, about)

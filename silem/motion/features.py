@@ -19,10 +19,10 @@ POINTS = Skeleton.points()
 
 
 class Feature(NamedTuple):
-    """One skeletal feature: its name, how figures call it, and its unit."""
+    """One skeletal feature."""
 
     name: str
-    label: str
+    label: str  #: in figures
     unit: str
 
 
@@ -34,8 +34,7 @@ _JOINTS = {  # and the ends of the two segments that meet there
 }
 _HEAD = POINTS.index("head")
 
-# The vectors that features are made of end and start at these landmarks: from the torso to each of
-# the limbs, from each of the joints to one end and to the other.
+# Features' vectors: from the torso to each of the limbs, from each joint to one end and the other.
 _PAIRS = [(limb, "torso") for limb in _LIMBS]
 _PAIRS += [(ends[i], joint) for i in (0, 1) for joint, ends in _JOINTS.items()]
 _ENDS, _STARTS = np.array([[POINTS.index(name) for name in pair] for pair in _PAIRS]).T
@@ -70,7 +69,8 @@ class Landmarks:
         self.ids = np.array(found)  #: (P,) in the order of `POINTS`
         self.torso = found[0]
         self.root = int(model.body_rootid[self.torso])  #: carries all others
-        self._axes = np.array(["xyz".index(axis) for axis in skeleton.axes])
+        columns = ["xyz".index(axis) for axis in skeleton.axes]
+        self._rows = np.arange(9).reshape(3, 3).T[columns]  # of a torso frame's nine numbers
 
     def points(self, data: mujoco.MjData) -> np.ndarray:
         """Return the landmarks' positions in the world in m, (P, 3)."""
@@ -82,22 +82,18 @@ class Landmarks:
 
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
         """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
-        frames = matrices.reshape(*matrices.shape[:-1], 3, 3)
-        return frames.swapaxes(-1, -2).take(self._axes, -2)
+        return matrices.take(self._rows, -1)
 
 
 def skeletal_features(
     points: np.ndarray, torso_axes: np.ndarray, com_velocity: np.ndarray
 ) -> np.ndarray:
-    """Compute g(s) from what a body's own g read off its state.
+    """Compute g(s), (..., F), float32, from what a body's own g read off its state.
 
     Args:
         points: Landmarks in the world in m, (..., P, 3), in the order of `POINTS`.
         torso_axes: Forward, left and up of the torso in the world, as rows, (..., 3, 3).
         com_velocity: Velocity of the whole body's centre of mass in the world in m/s, (..., 3).
-
-    Returns:
-        The features (..., F), float32, in the order of `FEATURES`.
     """
     rows = torso_axes.swapaxes(-1, -2)
     vectors = points.take(_ENDS, -2) - points.take(_STARTS, -2)

@@ -20,11 +20,9 @@ _GAIN = 0.9  # share of the gap that one step may close: the constraint is linea
 def interpolate(qpos: np.ndarray, times: np.ndarray, new_times: np.ndarray) -> np.ndarray:
     """Return poses (S, nq) at new times (S,) that lie within the times (T,) of poses (T, nq).
 
-    Positions and hinges lie on straight lines between two poses, the root's orientation on the
-    great arc (slerp).
+    Interpolation is linear, of the root's orientation along the great arc (slerp).
     """
-    columns = [np.interp(new_times, times, column) for column in qpos.T]
-    resampled = np.stack(columns, axis=1)
+    resampled = np.stack([np.interp(new_times, times, column) for column in qpos.T], axis=1)
     resampled[:, 3:7] = quaternions(Slerp(times, rotations(qpos))(new_times))
     return resampled
 

@@ -3,14 +3,12 @@
 Peng et al. 2020, "Learning Agile Robotic Locomotion Skills by Imitating Animals", match key points
 after scaling them to the learner. Here (page "The method", equation eq-targets) hips and feet go
 through one similarity transform of the demonstrator's world, by the ratio of the leg lengths:
-keeping the forward motion instead would drag every planted foot over the floor at (1 - ratio)
-times the walking speed. The torso follows the middle of the hips by the ratio of the spines, the
-hands the shoulders by that of the arms. What could not be reached is reported for every frame.
+keeping the forward motion instead would drag every planted foot over the floor. The torso follows
+the middle of the hips by the ratio of the spines, the hands the shoulders by that of the arms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -35,8 +33,8 @@ from silem.util.errors import SilemError
 BODIES = ("Humanoid", "HumanoidR", "Atlas")
 
 STANCE_SPEED_M_S = 0.3
-"""A demonstrator's foot slower than this, horizontally, stands. (In 08_01 a standing foot moves
-at up to 0.2 m/s, a swinging one at up to 4.7 m/s.)"""
+"""A demonstrator's foot that is horizontally slower stands: in 08_01 such a foot moves at up to
+0.2 m/s, a swinging one at up to 4.7 m/s."""
 
 TOLERANCE_M = 0.03  #: a frame whose targets are all reached to within this counts as converged
 LIMIT_TOLERANCE_RAD = 1e-3  #: a joint closer to a limit than this is at it
@@ -83,10 +81,10 @@ class Limbs(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray) -> Limbs:
-        """Measure the landmarks of one or more poses, (..., P, 3).
+        """Measure the landmarks (..., P, 3) of one or more poses: of several, the 95 % quantile.
 
-        Of several poses the 95 % quantile counts: where a landmark lies beside its joint's axis
-        a bent limb looks shorter than it is, and a single broken frame should not matter.
+        Where a landmark lies beside its joint's axis a bent limb looks shorter than it is, and a
+        single broken frame should not matter.
         """
 
         def lengths(*chain: np.ndarray) -> list[float]:
@@ -102,11 +100,7 @@ class Limbs(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What the inverse kinematics has to reach.
-
-    A foot's target is raised where the scaled motion would have put it lower than it is on the
-    standing learner.
-    """
+    """What the inverse kinematics has to reach; no foot lower than on the standing learner."""
 
     positions: np.ndarray  #: (T, 5, 3) of `TARGETS` in m; floor at z = 0, from above the origin
     stance: np.ndarray  #: (T, 2) whether the demonstrator's left and right foot stands
@@ -120,11 +114,8 @@ def targets(motion: Motion, body: MujocoBody) -> Targets:
     Raises:
         SilemError: The motion holds NaN or infinity.
     """
-    for name, array in (("points", motion.points), ("torso_axes", motion.torso_axes)):
-        finite = np.isfinite(array).all(axis=(1, 2))
-        if not finite.all():
-            where = f"motion {motion.name}: {name} of frame {finite.argmin()}"
-            raise SilemError(f"{where} hold NaN or infinity")
+    for name in ("points", "torso_axes"):
+        _check_finite(getattr(motion, name), f"motion {motion.name}: {name} of frame", "hold")
     model = _compiled(body)
     standing = np.array([body.standing_pose]), np.zeros((1, model.nv))
     (points,), (torso_axes,), _ = kinematics.observe(model, body.skeleton, *standing)
@@ -132,9 +123,9 @@ def targets(motion: Motion, body: MujocoBody) -> Targets:
     ratios = Limbs(*np.divide(own, demonstrator).tolist())
     stance, feet = standing_feet(motion), _both(motion.points, "foot")
     foot_height = float(_both(points, "foot")[:, 2].mean())
-    # Where the landmark of a foot is when that foot stands: the median. Targets below it are
-    # raised to it, for in the clips a foot that stands sinks and rises by 1 cm or 2, and on the
-    # learner it should be on the floor, not above it.
+    # Where the landmark of a foot is when that foot stands: the median, to which targets below it
+    # are raised. In the clips a foot that stands sinks and rises by 1 cm or 2; the learner's should
+    # be on the floor.
     ground = [
         [float(np.median(heights[stands]) if stands.any() else heights.min())]
         for heights, stands in zip(feet[..., 2].T, stance.T, strict=True)
@@ -168,6 +159,12 @@ def foot_speeds_m_s(points: np.ndarray, rate_hz: float) -> np.ndarray:
     return np.linalg.norm(velocity, axis=-1)
 
 
+def _check_finite(array: np.ndarray, what: str, hold: str = "holds") -> None:
+    finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+    if not finite.all():
+        raise SilemError(f"{what} {finite.argmin()} {hold} NaN or infinity")
+
+
 def _both(points: np.ndarray, name: str) -> np.ndarray:
     """Return the left and the right landmark of a name, (..., 2, 3)."""
     return points[..., [POINTS.index(f"{side}_{name}") for side in SIDES], :]
@@ -182,9 +179,9 @@ def _solve(
 ) -> np.ndarray:
     """Return the poses (T, nq) that bring landmarks (T, 5, 3) and torso (T, 3, 3) to their targets.
 
-    mink states one step as a quadratic program, with joint limits and the floor as hard
-    constraints; here its steps are repeated, with damping by Levenberg and Marquardt's rule, until
-    the pose is at a minimum. Self-collision is not looked at.
+    mink states a step as a quadratic program, with joint limits and the floor as hard constraints;
+    its steps are repeated, with damping by Levenberg and Marquardt's rule, until the pose is at a
+    minimum. Self-collision is not looked at.
     """
     standing = np.array(body.standing_pose)
     configuration, soles = mink.Configuration(model, standing), Soles(model, body.skeleton)
@@ -198,7 +195,6 @@ def _solve(
     columns = ["xyz".index(axis) for axis in body.skeleton.axes]
 
     def cost() -> float:
-        """Return the sum of the squared errors of all tasks and of the depth below the floor."""
         errors = [task.cost * task.compute_error(configuration) for task in tasks]
         errors.append(_BELOW_FLOOR_COST * np.minimum(soles.heights(configuration.data), 0.0))
         return float(sum(error @ error for error in errors))
@@ -241,10 +237,7 @@ def _solve(
 
 @dataclass(frozen=True)
 class IKResult:
-    """A motion of T frames retargeted to a body with J hinges, and what could not be reached.
-
-    The floor is z = 0. A foot's skate is its horizontal speed while the demonstrator's stands.
-    """
+    """A motion of T frames retargeted to a body with J hinges, and what could not be reached."""
 
     body: str
     motion: str  #: name of the demonstrator's motion
@@ -259,7 +252,7 @@ class IKResult:
     torso_tilt_rad: np.ndarray  #: (T,) angle between the torso's orientation and its target
     converged: np.ndarray  #: (T,) whether every residual is within the tolerance
     at_limit: np.ndarray  #: (T, J) whether a hinge is at a limit
-    foot_skate_m_s: np.ndarray  #: (T, 2) of the left and right foot; NaN while it swings
+    foot_skate_m_s: np.ndarray  #: (T, 2) each foot's horizontal speed; NaN while the man's swings
     raised_m: np.ndarray  #: (T, 2) by how much a foot's target was raised (see `Targets`)
     sole_height_m: np.ndarray  #: (T, 2) height of each foot's lowest point
 
@@ -312,33 +305,6 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
     )
 
 
-def summary(result: IKResult) -> dict[str, Any]:
-    """Return the figures of a retargeting that the pages and the manifest show.
-
-    Foot skate is None for a foot that never stands; the shares of frames in which a joint is at a
-    limit are of those that ever are.
-    """
-    residuals_mm = 1000 * result.residuals
-    skates = np.ma.masked_invalid(result.foot_skate_m_s)
-    way_m = np.linalg.norm(result.points[-1, 0, :2] - result.points[0, 0, :2])
-    at_limit = _rounded(result.joint_names, result.at_limit.mean(axis=0))
-    return {
-        "residual_mean_mm": _rounded(TARGETS, residuals_mm.mean(axis=0)),
-        "residual_worst_mm": _rounded(TARGETS, residuals_mm.max(axis=0)),
-        "converged_share": round(float(result.converged.mean()), 3),
-        "torso_tilt_worst_deg": round(float(np.degrees(result.torso_tilt_rad.max())), 3),
-        "foot_skate_mean_m_s": _rounded(SIDES, skates.mean(axis=0)),
-        "foot_skate_worst_m_s": _rounded(SIDES, skates.max(axis=0)),
-        "speed_m_s": round(float(way_m * result.rate_hz / (len(result.points) - 1)), 3),
-        "at_limit_share": {name: share for name, share in at_limit.items() if share > 0},
-    }
-
-
-def _rounded(names: Sequence[str], values: np.ndarray) -> dict[str, Any]:
-    """Return rounded values by name, None for what is masked."""
-    return dict(zip(names, values.round(3).tolist(), strict=True))
-
-
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
     """Retarget a published clip to the three humanoids, and publish the result, a file per body.
 
@@ -364,7 +330,6 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
                 "tolerance_m": TOLERANCE_M,
                 "limb_ratios": result.ratios._asdict(),
                 "joint_names": list(result.joint_names),
-                "summary": summary(result),
                 "retargeting_version": RETARGETING_VERSION,
             }
             written.append(demos.publish(retargeted(source, body), demonstrations, about))
@@ -390,8 +355,8 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
     until both soles are above the floor; states that fit are returned as they are.
 
     Raises:
-        SilemError: As `silem.motion.demonstrations.load_published`, or the demonstrations hold no
-            states, or states of another body or with NaN or infinity.
+        SilemError: As `silem.motion.demonstrations.load_published`, or there are no states, or
+            those of another body or with NaN or infinity.
     """
     extra = demos.load_published(name)[0].extra
     missing = [array for array in ("qpos", "qvel") if array not in extra]
@@ -403,9 +368,7 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
             f"demonstrations {name!r} hold states of shape {qpos.shape[1:]} and {qvel.shape[1:]};"
             f" {body.name} needs ({model.nq},) and ({model.nv},)"
         )
-    finite = np.isfinite(np.hstack([qpos, qvel])).all(axis=1)
-    if not finite.all():
-        raise SilemError(f"demonstrations {name!r}: state {finite.argmin()} holds NaN or infinity")
+    _check_finite(np.hstack([qpos, qvel]), f"demonstrations {name!r}: state")
     hinges = np.flatnonzero(model.jnt_limited)
     places, rates = model.jnt_qposadr[hinges], model.jnt_dofadr[hinges]
     allowed = np.clip(qpos[:, places], *model.jnt_range[hinges].T)

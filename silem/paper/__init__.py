@@ -1,7 +1,7 @@
-"""The paper's own tables and numbers, read from ``silem/paper/*.toml``.
+"""The paper's own tables and numbers, read from ``silem/paper/*.toml``; typed nowhere else.
 
-Nothing else in this project types a number of the paper: hyper-parameters, results and the claims
-that the scorecard checks all come from here, each with the table or sentence it was printed in.
+Hyper-parameters, results and the claims that the scorecard checks come from here, each with the
+table or sentence it was printed in.
 """
 
 from __future__ import annotations
@@ -103,31 +103,19 @@ def symbols() -> dict[str, Symbol]:
 
 
 def table(key: str) -> PaperTable:
-    """Return one table by key, e.g. ``table("tab4.1")``.
-
-    Raises:
-        SilemError: If the paper has no such table.
-    """
+    """Return one table by key, e.g. ``table("tab4.1")``; SilemError if the paper has none."""
     return tables()[choose("table of the paper", key, tables())]
 
 
 def number(name: str) -> Any:
-    """Return the value of one number, e.g. ``number("random_return") == -1555``.
-
-    Raises:
-        SilemError: If no such number was recorded.
-    """
+    """Return a number's value, e.g. ``number("random_return") == -1555``; SilemError if unknown."""
     return numbers()[choose("number of the paper", name, numbers())].value
 
 
 def common(family: str = "halfcheetah") -> dict[str, Any]:
-    """Return the common PPO settings of a family of bodies (supplement, tab2 or tab2_h).
+    """Return the common PPO settings of a family (supplement, tab2 or tab2_h), by our names.
 
-    Args:
-        family: ``"halfcheetah"``, ``"ant"`` or ``"humanoid"``.
-
-    Returns:
-        Mapping from this project's parameter name to the printed value.
+    Raises SilemError on anything but ``"halfcheetah"``, ``"ant"`` and ``"humanoid"``.
     """
     by_family = {name: t for t in tables().values() for name in t.families}
     chosen = by_family[choose("family of bodies", family, by_family)]
@@ -144,18 +132,18 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
     """Return the hyper-parameters that the supplement found best for one cell of the study.
 
     Every imitator has tables of its own (HalfCheetah: tab4.1 to tab4.3, Ant: tab3.1 to tab3.3)
-    but ``silem-mlp``, which takes SILEM's.
+    but ``silem-mlp``, which takes SILEM's. ``silem-minus`` from the learner's own expert is
+    ``silem-minus-own``, except on a family's original body, where both cells exist and the
+    method's name alone tells them apart.
 
     Args:
         body: The learner's body, e.g. ``"HC1"``.
         method: A method of this project.
-        demonstrations: The expert's body. ``silem-minus`` from the learner's own expert is
-            ``silem-minus-own``, except on a family's original body, where both cells exist and
-            the method's name alone tells them apart.
+        demonstrations: The expert's body.
 
     Returns:
-        Mapping with the names of ``HyperParameters``; only what the paper prints for the method,
-        so SILEM⁻ has no entry for the transform.
+        The values by the names of ``HyperParameters``, those alone that the paper prints for the
+        method: SILEM⁻ has none for the transform.
 
     Raises:
         SilemError: If the paper has none for them.
@@ -166,19 +154,18 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
     found = _best(body, method)
     if found is None:
         raise SilemError(f"the paper has no hyper-parameters for {method} on {body!r}")
-    left_out = _TRANSFORM_SYMBOLS if method.startswith("silem-minus") else ()
+    left_out = ("body", *(_TRANSFORM_SYMBOLS if method.startswith("silem-minus") else ()))
     return {
         symbols()[symbol].parameter: float(value) if symbols()[symbol].real else value
         for symbol, value in found[1].items()
-        if symbol not in ("body", *left_out)
+        if symbol not in left_out
     }
 
 
 def grid_values(key: str) -> dict[str, list[Any]]:
-    """Return a searched grid as symbol -> values, e.g. ``grid_values("tab4")["n"] == [10, 20]``.
+    """Return a searched grid by symbol, e.g. ``grid_values("tab4")["n"] == [10, 20]``.
 
-    Raises:
-        SilemError: If the table is not a grid.
+    Raises SilemError if the table is not a grid.
     """
     chosen = table(key)
     if chosen.kind != "grid":

@@ -28,7 +28,7 @@ import silem
 from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
-from silem.envs.mujoco.simulator import body_of
+from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
 from silem.study.record import RunRecord

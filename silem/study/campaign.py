@@ -20,7 +20,6 @@ from pathlib import Path
 from tqdm import tqdm
 
 from silem import bodies
-from silem.bodies import own
 from silem.motion.demonstrations import is_published
 from silem.study import demonstrate, runs
 from silem.study.checkpoint import CHECKPOINT, PROGRESS
@@ -193,7 +192,7 @@ class _Worker:
 
     def _start(self) -> None:
         command = [sys.executable, "-m", "silem", *self.task.arguments, "--quiet", "--with-input"]
-        for module in sorted({own.module_of(name) for name in bodies.names()} - {""}):
+        for module in sorted({bodies.module_of(name) for name in bodies.names()} - {""}):
             command += ["--import", module]
         moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
         if root := paths.checkout():

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from silem import bodies
-from silem.bodies import Body, own
+from silem.bodies import Body
 from silem.study import settings
 from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named, of_family
 from silem.util.errors import SilemError, check_name, choose, reason
@@ -140,7 +140,7 @@ class RunConfig:
         name, _, iterations = self.budget.name.partition("-")
         study = self.study if self.study != bodies.get(self.body).family else ""
         options = {
-            "import": own.module_of(self.body),
+            "import": bodies.module_of(self.body),
             "body": self.body,
             "method": self.method,
             "demonstrations": self.demonstrations,
@@ -160,13 +160,13 @@ class RunConfig:
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain JSON types, with the used hyper-parameters only.
 
-        A body of one's own is part of it as `silem.bodies.own.identity`.
+        A body of one's own is part of it as `silem.bodies.identity`.
         """
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
         }
-        body = own.identity(self.body)
+        body = bodies.identity(self.body)
         return {
             "study": self.study,
             "body": self.body,
@@ -190,7 +190,7 @@ class RunConfig:
             for key in content:
                 choose("configuration key", key, [*keys, "own_body"])
             body, then = content["body"], content.get("own_body")
-            if own.identity(str(body)) != then:
+            if bodies.identity(str(body)) != then:
                 module = then["module"] if then else ""
                 advice = f"; --import {module} loads that" if module else ""
                 raise SilemError(f"{body} is not the body that this run is of{advice}")

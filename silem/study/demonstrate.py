@@ -18,7 +18,7 @@ from silem.study.record import RunRecord
 from silem.study.settings import Budget
 from silem.util.errors import SilemError
 
-_FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.task.LocomotionTask`
+_FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.LocomotionTask`
 
 
 def experts(body: str, budget: str | Budget) -> list[RunConfig]:

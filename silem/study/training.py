@@ -20,7 +20,7 @@ from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
 from silem.bodies import MujocoBody
 from silem.envs import make_vec
-from silem.envs.mujoco.simulator import body_of
+from silem.envs.mujoco import body_of
 from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations

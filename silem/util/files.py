@@ -18,7 +18,7 @@ import socket
 import time
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,30 +35,35 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Write a file atomically, creating its folder where needed.
 
     Raises:
-        SilemError: The disk is full or read-only, or the path cannot be written; the file that was
-            there before is untouched.
+        SilemError: It cannot be written; the file that was there before is untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(temporary, "wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+        with open(temporary, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
         # A rename is only safe against power loss once the folder's own entry is on the disk.
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
+        with _opened(path.parent, os.O_RDONLY) as folder:
             os.fsync(folder)
-        finally:
-            os.close(folder)
     except OSError as error:
         raise SilemError(f"cannot write {path}: {reason(error)}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def _opened(path: Path, flags: int) -> Iterator[int]:
+    """Give the descriptor of a file or folder, which is closed in the end."""
+    descriptor = os.open(path, flags, 0o644)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
 
 def leftovers(folder: Path) -> list[Path]:
@@ -172,16 +177,14 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
 def write_tensors(
     path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write named arrays and text metadata as a safetensors file, atomically.
-
-    The same content always gives the same bytes: the metadata travel as one JSON text, because
-    safetensors does not keep the order of several.
+    """Write named arrays and text metadata as a safetensors file; the same ones, the same bytes.
 
     Raises:
         SilemError: As `write_bytes`, or an array's dtype is none of safetensors'.
     """
     # asarray with order="C" keeps 0-d arrays as they are, unlike ascontiguousarray.
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    # One JSON text, because safetensors does not keep the order of several.
     text = json.dumps(dict(metadata or {}), sort_keys=True)
     try:
         data = safetensors.numpy.save(contiguous, metadata={"silem": text})
@@ -215,61 +218,52 @@ def sha256(path: Path) -> str:
 
 @contextmanager
 def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
-    """Hold a lock file while the ``with`` block runs.
+    """Hold a lock file while the ``with`` block runs, after waiting `wait_s` for another process.
 
     The kernel releases the lock when its process ends, even by ``kill -9``, so no stale lock can
-    stay behind. The file's text is the holder's ``pid@host``, for messages only. Another process is
-    waited for `wait_s` seconds.
+    stay behind. The file's text is the holder's ``pid@host``, for messages only.
 
     Raises:
         SilemError: Another process holds the lock (the message names it), or there can be none.
     """
     path = Path(path)
     until = time.monotonic() + wait_s
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise SilemError(f"cannot lock {path}: {reason(error)}") from error
-    try:
-        while not _lock_now(path, descriptor, fcntl.LOCK_EX):
-            if time.monotonic() >= until:
-                holder = os.pread(descriptor, 100, 0).decode(errors="replace")
-                name = holder.strip() or "another process"
-                raise SilemError(f"{path} is held by {name}, which is at work there")
-            time.sleep(0.02)
+    with ExitStack() as stack:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = stack.enter_context(_opened(path, os.O_RDWR | os.O_CREAT))
+            while not _lock_now(descriptor, fcntl.LOCK_EX):
+                if time.monotonic() >= until:
+                    holder = os.pread(descriptor, 100, 0).decode(errors="replace")
+                    name = holder.strip() or "another process"
+                    raise SilemError(f"{path} is held by {name}, which is at work there")
+                time.sleep(0.02)
+        except OSError as error:
+            raise SilemError(f"cannot lock {path}: {reason(error)}") from error
         with suppress(OSError):  # a full disk is no reason not to work
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}@{socket.gethostname()}".encode(), 0)
         yield
-    finally:
-        os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether some process holds a `lock` at this moment.
+    """Return whether some process holds a `lock`: another user's, too, which cannot be opened.
 
-    A lock file that this user may not open is another user's and counts as held. Where the file
-    system has no locks none is held, because `lock` refuses to work there.
+    Where the file system has no locks none is held, because `lock` refuses to work there.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        with _opened(path, os.O_RDONLY) as descriptor:
+            return not _lock_now(descriptor, fcntl.LOCK_SH)
     except OSError as error:
         return isinstance(error, PermissionError)
-    try:
-        return not _lock_now(path, descriptor, fcntl.LOCK_SH)
-    except SilemError:
-        return False
-    finally:
-        os.close(descriptor)
 
 
-def _lock_now(path: Path, descriptor: int, kind: int) -> bool:
+def _lock_now(descriptor: int, kind: int) -> bool:
     """Lock an open file, or return False where another process holds it."""
     try:
         fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in (errno.EAGAIN, errno.EACCES):  # some file systems say EACCES
             return False
-        raise SilemError(f"cannot lock {path}: {reason(error)}") from error
+        raise
     return True

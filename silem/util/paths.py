@@ -1,8 +1,8 @@
-"""Every folder of the project, named once.
+"""Every folder of the project, named once; whoever writes a file creates its folder.
 
 ``SILEM_DATA_DIR`` moves the folders that the program writes to. Without it they are ``data/`` in a
 checkout, or ``silem-data/`` in the working folder of whoever installed the package. What is part of
-the package never moves. The functions only name folders; whoever writes a file creates its folder.
+the package never moves.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def data_dir() -> Path:
 
 
 def results_dir(study: str) -> Path:
-    """Return the folder of a study's published (committed) records; raises as `check_name`."""
+    """Return the folder of a study's committed records; raises as `check_name`."""
     return data_dir() / "results" / check_name("study", study)
 
 

@@ -32,8 +32,7 @@ def make_batch(rng: np.random.Generator, dtype: type, size: int = 64) -> Batch:
 
 def torch_gradients(policy: th.nn.Module, batch: Batch) -> list[th.Tensor]:
     """PPO's loss as stable-baselines3 writes it."""
-    tensors = [th.from_numpy(getattr(batch, name)) for name in batch.__dataclass_fields__]
-    obs, actions, old_log_probs, advantages, returns = tensors
+    obs, actions, old_log_probs, advantages, returns = map(th.from_numpy, batch)
     latent_pi, latent_vf = policy.mlp_extractor(obs)  # evaluate_actions would cast to float32
     distribution = policy._get_action_dist_from_latent(latent_pi)
     log_prob, entropy = distribution.log_prob(actions), distribution.entropy()

@@ -92,12 +92,6 @@ def by_state_arrays(source: silem.PPO, path) -> silem.PPO:
     return model
 
 
-def by_policy_arrays(source: silem.PPO, path) -> silem.PPO:
-    model = new()
-    model.load_policy_arrays(source.policy_arrays())
-    return model
-
-
 def by_another_policy(source: silem.PPO, path) -> silem.PPO:
     source.export_policy(path.with_suffix(".safetensors"))
     model = new()
@@ -115,7 +109,7 @@ def by_replaced_tensors(source: silem.PPO, path) -> silem.PPO:
 
 WAYS_IN = [
     by_load, by_set_parameters, by_set_parameters_in_the_middle, by_state_arrays,
-    by_policy_arrays, by_another_policy, by_replaced_tensors,
+    by_another_policy, by_replaced_tensors,
 ]  # fmt: skip
 
 
@@ -150,6 +144,20 @@ def test_update_reaches_tensors_that_a_callback_has_put_in_place() -> None:
     model.learn(240, callback=callback)
     after = zip(callback.before, model.policy.parameters(), strict=True)
     assert all(not th.equal(old, p) for old, p in after)
+
+
+def test_torchs_optimizer_goes_on_in_the_twins_memory() -> None:
+    model = new().learn(120)
+    twin, before = model._fast, [p.detach().clone() for p in model.policy.parameters()]
+    assert twin is not None
+    model.clip_range_vf = lambda _: 0.2  # which stable-baselines3's own update alone can do
+    model.learn(120, reset_num_timesteps=False)
+    assert model._fast is None
+    after = list(model.policy.parameters())
+    assert all(not th.equal(a, b) for a, b in zip(before, after, strict=True))
+    flat = np.concatenate([p.detach().numpy().ravel() for p in after])
+    np.testing.assert_array_equal(twin.params, flat)
+    assert twin._steps.tolist() == [40.0] * len(after)  # 2 rollouts, 10 epochs of 2 minibatches
 
 
 def test_frozen_parameters_stay_and_hooks_are_heard() -> None:

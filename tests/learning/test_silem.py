@@ -170,7 +170,7 @@ def test_silem_recovers_scale_and_shift_gaifo_does_not(method: type, recovers: b
         model.update_discriminator(model._transformed(windows))
         model.update_transform(windows)
     probe = th.from_numpy(((rng.standard_normal((2000, 1, 3)) - shift) / scale).astype(np.float32))
-    mapped = model._transformed(probe).numpy()[:, 0]
+    mapped = model._transformed(probe).detach().numpy()[:, 0]
     error = max(abs(mapped.mean(0)).max(), abs(mapped.std(0) - 1.0).max())
     assert bool(error < 0.25) == recovers
 

@@ -219,7 +219,7 @@ def test_save_load_learn_on(tmp_path) -> None:
         ([np.full((5, 3), np.nan)], "NaN"),
         ([np.zeros((1, 3))], "too short"),
         ([np.zeros((5, 2))], r"2 features per state.*supplies 3"),
-        (None, "TPIL needs demonstrations"),
+        (None, "needs demonstrations"),
     ],
 )
 def test_unusable_demonstrations_are_refused(demonstrations, message: str) -> None:

@@ -8,22 +8,13 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from silem import SILEM, SilemError
-from silem.algorithms.windows import LearnerFeatures, WindowTracker, episode_windows
+from silem.algorithms.windows import LearnerFeatures, episode_windows
 
 
 def test_episode_windows_by_hand() -> None:
     features = np.array([[10.0], [11.0], [12.0], [13.0], [14.0]])
     expected = [[10, 10, 10, 11], [10, 10, 11, 12], [10, 11, 12, 13], [11, 12, 13, 14]]
     np.testing.assert_array_equal(episode_windows(features, 4)[:, :, 0], expected)
-
-
-def test_tracker_equals_episode_windows(rng: np.random.Generator) -> None:
-    episode = rng.standard_normal((9, 2, 3)).astype(np.float32)  # (T + 1, E, F)
-    tracker = WindowTracker(4, episode[0])
-    stepped = np.stack([tracker.push(features).copy() for features in episode[1:]])
-    for environment in range(2):
-        expected = episode_windows(episode[:, environment], 4)
-        np.testing.assert_array_equal(stepped[:, environment], expected)
 
 
 @pytest.mark.parametrize("features", [np.zeros((1, 2)), np.zeros(4)])
@@ -87,6 +78,17 @@ def test_windows_stop_at_episode_ends_and_go_on_over_rollouts() -> None:
         [(4, 0), (4, 0), (4, 0), (4, 1)],
     ]
     np.testing.assert_array_equal(episodes_and_steps, expected)
+
+
+def test_rollouts_windows_equal_those_of_the_whole_episode() -> None:
+    """What is built step by step in two environments, and what is cut from an episode at once."""
+    env = DummyVecEnv([lambda: gym.make("Pendulum-v1")] * 2)
+    demos = [np.zeros((5, 3), dtype=np.float32)]
+    model = SILEM("MlpPolicy", env, demos, n_steps=9, batch_size=9, seed=0).learn(18)
+    episodes = [*model.rollout_buffer.observations, model._last_obs]
+    for environment in range(2):
+        expected = episode_windows(np.array([states[environment] for states in episodes]), 4)
+        np.testing.assert_array_equal(model._windows[:, environment], expected)
 
 
 def test_features_of_the_environment_replace_the_observation() -> None:

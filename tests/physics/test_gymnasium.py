@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from silem import bodies
-from silem.envs import BulletEnv, Camera, make_vec
+from silem.envs import Camera, SingleEnv, make_vec
 from silem.report.film import why_no_pictures
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
@@ -55,7 +55,7 @@ def test_episodes_end_at_1000_steps():
 
 
 def test_bad_input_is_refused():
-    env = BulletEnv("Ant0", render_mode="rgb_array")
+    env = SingleEnv("Ant0", render_mode="rgb_array")
     with pytest.raises(SilemError, match="step before reset"):
         env.step(np.zeros(8))
     with pytest.raises(SilemError, match="render before reset"):
@@ -64,7 +64,7 @@ def test_bad_input_is_refused():
     with pytest.raises(SilemError, match=r"actions of shape \(7,\); expected \(8,\)"):
         env.step(np.zeros(7))
     with pytest.raises(SilemError, match="unknown render mode 'human'; allowed: rgb_array"):
-        BulletEnv("Ant0", render_mode="human")
+        SingleEnv("Ant0", render_mode="human")
     with pytest.raises(SilemError, match="not positive"):
         Camera(env.body, 0, 48)
     with pytest.raises(SilemError, match="nan m: not positive"):
@@ -95,7 +95,7 @@ def test_camera_follows_the_body(name: str):
     rng = np.random.default_rng(0)
     for _ in range(15):
         env.step(rng.uniform(-1, 1, (1, env.body.action_size)))
-    later, qpos = orange(env.render()), env._qpos().copy()
+    later, qpos = orange(env.render()), env.simulation.pose().copy()
     qpos[:2] += 30, -40
     away = env._camera.picture(qpos)
     assert (start != later).sum() > 20

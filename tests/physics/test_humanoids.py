@@ -11,9 +11,8 @@ from dm_control import suite
 
 from silem import bodies
 from silem.bodies import humanoid
-from silem.envs import MujocoEnv, MujocoVecEnv, make_vec
-from silem.envs.mujoco.simulator import Simulation
-from silem.envs.mujoco.task import observe
+from silem.envs import BatchedEnv, SingleEnv, make_vec
+from silem.envs.mujoco import Simulation, body_of, observe, stepped_model
 from silem.motion.features import FEATURES, Landmarks, g
 from silem.util.errors import SilemError
 
@@ -32,7 +31,7 @@ def walked():
     theirs.reset()
     # Falls are part of it: the body never ends an episode.
     body = dataclasses.replace(bodies.get("Humanoid"), fall_head_m=-1.0)
-    ours = MujocoVecEnv(body, 1, speed_m_s=1.0)
+    ours = BatchedEnv(body, 1, speed_m_s=1.0)
     ours.reset()
     data = theirs.physics.data
     ours.simulation.place(0, data.qpos, data.qvel)
@@ -63,7 +62,7 @@ def test_observation_and_reward_are_dm_controls(walked):
 def test_the_speed_target_is_the_demonstrators():
     env = make_vec("Humanoid", 1)
     env.reset()
-    slow, fast = (MujocoVecEnv("Humanoid", 1, speed_m_s=speed) for speed in (0.1, 10.0))
+    slow, fast = (BatchedEnv("Humanoid", 1, speed_m_s=speed) for speed in (0.1, 10.0))
     for other in (slow, fast):
         other.reset()
     (action,) = actions(1)
@@ -101,7 +100,7 @@ def test_an_episode_ends_at_a_fall_and_its_info_says_so():
 
 def test_the_step_limit_is_a_truncation():
     standing = dataclasses.replace(bodies.get("Humanoid"), fall_head_m=-1.0)
-    env = MujocoVecEnv(standing, 1, max_steps=3)
+    env = BatchedEnv(standing, 1, max_steps=3)
     env.reset()
     ends = [env.step(np.zeros((1, 21)))[2:] for _ in range(3)]
     assert [bool(done[0]) for done, _ in ends] == [False, False, True]
@@ -143,7 +142,7 @@ def test_features_beside_the_observation_are_g_of_the_state():
 
 
 def test_a_seed_fixes_everything_whatever_happened_before():
-    def roll(env: MujocoVecEnv) -> list[np.ndarray]:
+    def roll(env: BatchedEnv) -> list[np.ndarray]:
         env.seed(7)
         return [env.reset(), *(env.step(action)[0] for action in actions(80, 3))]
 
@@ -189,7 +188,7 @@ def test_a_reading_does_not_change_when_the_simulation_goes_on():
 
 def test_the_single_environment_is_the_batch_of_one():
     starts = np.array([bodies.get("Humanoid").standing_pose]), np.full((1, 27), 0.3)
-    single, batch = MujocoEnv("Humanoid", starts=starts), make_vec("Humanoid", 1, starts=starts)
+    single, batch = SingleEnv("Humanoid", starts=starts), make_vec("Humanoid", 1, starts=starts)
     first, info = single.reset(seed=0)
     np.testing.assert_array_equal(first, batch.reset()[0])
     np.testing.assert_array_equal(
@@ -279,16 +278,16 @@ def test_bad_input_is_refused():
         env.step(np.zeros((2, 20)))
     with pytest.raises(SilemError, match="NaN"):
         env.step(np.full((2, 21), np.nan))
-    with pytest.raises(SilemError, match="0 threads; allowed: whole numbers from 1"):
+    with pytest.raises(SilemError, match="n_threads must be a whole number from 1, not 0"):
         make_vec("Humanoid", n_threads=0)
-    for make in (make_vec, MujocoEnv):
-        with pytest.raises(SilemError, match="speed of 0 m/s; allowed: above 0"):
+    for make in (make_vec, SingleEnv):
+        with pytest.raises(SilemError, match="speed_m_s must be a number above 0, not 0"):
             make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
-        MujocoVecEnv("HC0")
+        body_of("HC0")
     with pytest.raises(SilemError, match="arm scaled by -1"):
         humanoid.model(left_arm=-1)
-    single = MujocoEnv("Humanoid", render_mode="rgb_array")
+    single = SingleEnv("Humanoid", render_mode="rgb_array")
     with pytest.raises(SilemError, match="render before reset"):
         single.render()
 
@@ -336,3 +335,17 @@ def test_the_batch_steps_bit_for_bit_as_mj_step_does(name: str):
     assert np.ptp(reading.head_m) > 0.01
     mujoco.mj_step(model, singles[0])  # a whole step more is another state
     assert not np.array_equal(reading.qpos[0], singles[0].qpos)
+
+
+def test_a_stepped_model_lacks_only_what_is_drawn_and_weighs_nothing():
+    ghost = '<geom name="ghost" type="sphere" size="0.1" contype="0" conaffinity="0"/>'
+    heavy = bodies.get("Humanoid").model_xml().replace("</body>", f"{ghost}</body>", 1)
+    humanoid = dataclasses.replace(bodies.get("Humanoid"), build=lambda: heavy)
+    for body, n_fewer in ((bodies.get("Atlas"), 59), (humanoid, 0)):
+        plain, stepped = mujoco.MjModel.from_xml_string(body.model_xml()), stepped_model(body)
+        assert plain.ngeom - stepped.ngeom == n_fewer
+        assert plain.npair == stepped.npair
+        for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+            np.testing.assert_array_equal(getattr(plain, field), getattr(stepped, field))
+    plain = mujoco.MjModel.from_xml_string(bodies.get("Humanoid").model_xml())
+    assert stepped.body_mass.sum() > plain.body_mass.sum() + 1  # what leaving it out would miss

@@ -15,7 +15,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecVideoRecorder
 
-from silem.envs import BatchedEnv, BulletEnv, make_vec
+from silem.envs import BatchedEnv, SingleEnv, make_vec
 from silem.report.film import why_no_pictures
 from silem.util.errors import SilemError
 
@@ -159,7 +159,7 @@ def test_record_video_records(tmp_path: Path):
 
 
 def test_a_recorder_is_told_why_there_are_no_pictures(tmp_path: Path):
-    single = BulletEnv("HC0")
+    single = SingleEnv("HC0")
     single.reset(seed=0)
     assert single.render() is None
     with pytest.raises(ValueError, match="Render mode is None"):

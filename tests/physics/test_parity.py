@@ -7,7 +7,7 @@ import numpy as np
 import pybullet_envs_gymnasium  # noqa: F401  registers the public environments
 import pytest
 
-from silem.envs import BulletEnv
+from silem.envs import SingleEnv
 
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 STEPS = 300
@@ -27,7 +27,7 @@ def public_env(name: str, seed: int) -> tuple[gymnasium.Env, np.ndarray]:
 def largest_differences(ours: str, peer: str, seed: int) -> tuple[float, float, bool]:
     """Largest difference of observations and of rewards, and whether all ends agree."""
     theirs, their_observation = public_env(peer, seed)
-    env = BulletEnv(ours)
+    env = SingleEnv(ours)
     observation, _ = env.reset(seed=seed)
     observations, rewards, ends = [np.abs(observation - their_observation).max()], [], []
     rng = np.random.default_rng(seed)

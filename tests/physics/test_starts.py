@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from silem import bodies
 from silem.bodies import MujocoBody, atlas
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.envs.mujoco import task as walking
+from silem.envs import mujoco as walking
 from silem.motion import demonstrations, retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import CLIPS, published_motion, published_name
@@ -176,7 +176,7 @@ def own_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     qpos = np.tile(bodies.of_kind("Humanoid", MujocoBody).standing_pose, (3, 1))
     qpos[:, 7] = 0.1, 0.2, 0.3
     publish("my_walk", {"speed_m_s": 0.8049, "capture_rate_hz": 60.0})
-    about = {"retargeted_from": "my_walk", "summary": "slower on shorter legs"}
+    about = {"retargeted_from": "my_walk", "note": "slower on shorter legs"}
     publish(retargeted("my_walk", "Humanoid"), about, qpos=qpos, qvel=np.zeros((3, 27)))
     return qpos
 

@@ -203,7 +203,7 @@ def with_policy(record: RunRecord) -> RunRecord:
     model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
     env.close()
     path = record.folder / POLICY
-    files.write_tensors(path, model.policy_arrays(), {"run_id": record.run_id})
+    model.export_policy(path, run_id=record.run_id)
     complete = dataclasses.replace(record, files=record.files | {POLICY: files.sha256(path)})
     complete.save(record.folder)
     return complete

@@ -22,7 +22,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     rng = np.random.default_rng(0)
     episodes = [rng.normal(size=(201, 3)).astype(np.float32) for _ in range(20)]
-    Demonstrations.from_arrays(episodes).save(file_of("swing"))
+    Demonstrations.of(episodes).save(file_of("swing"))
     return tmp_path
 
 

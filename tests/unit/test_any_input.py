@@ -124,7 +124,7 @@ def test_demonstrations_of_any_arrays(tmp_path: Path, arrays: dict[str, np.ndarr
     sound.save(path)
     files.write_npz(path, files.read_npz(path) | arrays)
     ends_well(lambda: Demonstrations.load(path))
-    ends_well(lambda: Demonstrations.from_arrays(list(arrays.values())))
+    ends_well(lambda: Demonstrations.of(list(arrays.values())))
 
 
 @many

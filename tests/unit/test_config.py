@@ -214,6 +214,7 @@ def test_a_humanoid_of_ones_own_takes_the_papers_humanoids_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
+    monkeypatch.setattr(bodies, "_OWN", {})
     bodies.register(humanoid.body("Longarm", "both arms longer", {"left": 1.4, "right": 1.4}))
     for method in ("silem", "tpil", "peng20", "ppo"):
         assert create("Longarm", method).hyper == create("Humanoid", method).hyper

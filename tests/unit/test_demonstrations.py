@@ -35,7 +35,7 @@ def test_extra_arrays_travel_with_the_features(tmp_path: Path) -> None:
 
 def test_publishing_needs_no_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    there = Demonstrations.from_arrays([np.zeros((3, 2))])
+    there = Demonstrations.of([np.zeros((3, 2))])
     demos.publish("clip", there, {"source": "a page"})
     entry = demos.entry("clip")
     assert (entry["return_mean"], entry["source"]) == (None, "a page")
@@ -168,14 +168,14 @@ def test_the_clips_come_with_the_package_and_experts_do_not(
     assert demos.load_published("cmu_08_01")[0].n_features == 23
     assert demos.entry("cmu_08_01_on_Atlas")["body"] == "Atlas"
     assert not demos.file_of("HC0").exists()
-    mine = Demonstrations.from_arrays([np.zeros((3, 2))])
+    mine = Demonstrations.of([np.zeros((3, 2))])
     assert demos.publish("cmu_08_01", mine).is_relative_to(tmp_path)  # and then goes before
     assert demos.load_published("cmu_08_01")[0].n_features == 2
     assert list(files.read_json(tmp_path / "demonstrations" / demos.MANIFEST)) == ["cmu_08_01"]
 
 
 def test_long_objects_say_what_they_are_in_one_short_line() -> None:
-    whole = Demonstrations.from_arrays([np.zeros((1001, 26), np.float32)] * 20)
+    whole = Demonstrations.of([np.zeros((1001, 26), np.float32)] * 20)
     assert repr(whole) == "<Demonstrations: 20 trajectories, 20020 states, 26 features>"
     atlas = "<MujocoBody Atlas: Atlas v4 of Boston Dynamics, ankles within +-0.1 rad>"
     assert repr(bodies.get("Atlas")) == atlas

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from silem.envs import make_vec
-from silem.envs.bullet import task
+from silem.envs import bullet, make_vec
 from silem.motion.demonstrations import Demonstrations
 from silem.report.transforms import feature_names
 from silem.study import demonstrate
@@ -52,7 +51,7 @@ def test_joints_are_at_their_limits_beyond_99_hundredths_on_either_side() -> Non
 
 
 def test_the_limit_is_the_one_that_the_task_charges() -> None:
-    assert task._AT_LIMIT == demonstrate.AT_LIMIT
+    assert bullet.AT_LIMIT == demonstrate.AT_LIMIT
     env = make_vec("HC0", n_envs=1, seed=0)
     env.reset()
     joints = env.body.motors

@@ -7,7 +7,7 @@ import pytest
 from drawn import assert_readable, texts
 
 from silem import bodies
-from silem.envs.mujoco.simulator import body_of
+from silem.envs.mujoco import body_of
 from silem.motion.demonstrator import published_motion
 from silem.report import film
 from silem.report.pages import humanoids

@@ -170,7 +170,7 @@ def test_only_joints_of_the_arm_count_as_its_limits(human: Motion, results: list
         assert table.set_index("hand").loc["right", "at limit (%)"] == share, name
 
 
-def test_foot_skate_table_agrees_with_the_published_summary(
+def test_foot_skate_table_agrees_with_what_is_published(
     human: Motion, results: list[IKResult]
 ) -> None:
     table = page.foot_skates(human, results)

@@ -15,8 +15,8 @@ from silem import bodies, paper
 from silem.bodies import MujocoBody, describe
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.envs.mujoco import task as walking
-from silem.envs.mujoco.simulator import Simulation, body_of, start_state
+from silem.envs import mujoco as walking
+from silem.envs.mujoco import Reading, Simulation, body_of, start_state
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.kinematics import SIDES
@@ -247,7 +247,7 @@ def _rewards(
     axes[:, 2, 2] = np.cos(state["tilt_rad"])
     velocity[:, 0] = state["speed_m_s"]
     actions = np.zeros((_N, 1)) + np.reshape(state["torque"], (-1, 1))
-    reading = walking.Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
+    reading = Reading(np.empty((_N, 0)), np.empty((_N, 0)), points, axes, velocity)
     return walking.rewards(reading, actions, body.standing_head_m, target_m_s)
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from silem.envs.mujoco.simulator import body_of
+from silem.envs.mujoco import body_of
 from silem.motion import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
