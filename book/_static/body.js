@@ -1,5 +1,5 @@
 // A humanoid under its learned policy, in MuJoCo's WebAssembly build: the model, what the policy
-// observes (silem/envs/mujoco/task.py), what it does (a tanh MLP), and the control step.
+// observes (silem/envs/mujoco.py), what it does (a tanh MLP), and the control step.
 window.silem = window.silem || {};
 silem.body = {};
 
