@@ -5,8 +5,16 @@ offers is loaded when it is first asked for (PEP 562): PyTorch and stable-baseli
 algorithms, the simulators with the environments.
 """
 
-import importlib
 import os
+import signal
+import sys
+
+# A program that is still loading, as argv says, dies of Ctrl-C without a word; `cli.main` says one.
+if {os.path.basename(name) for name in sys.argv[:1]} & {"-m", "silem"}:
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads only slow these small networks down

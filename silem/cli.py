@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import ast
+import dataclasses
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -20,7 +22,7 @@ from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import RECORD, RunRecord
 from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
-from silem.util import files, paths
+from silem.util import paths
 from silem.util.errors import SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
@@ -35,7 +37,7 @@ examples:
   silem demonstrations --body HC0 --budget quick
   silem run --body HC2 --method silem --demonstrations HC0 --budget quick --seed 7
   silem run --body HC2 --method silem --set gradient_penalty=0 --set window=2
-  silem campaign --study halfcheetah --budget book --trials 1 --workers 2
+  silem work halfcheetah --budget book --trials 1 --workers 2
   silem status --budget book
   silem render RUN_ID --out hc2.mp4
 
@@ -45,17 +47,13 @@ The environment variable SILEM_DATA_DIR moves the data folder.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line, what follows ``silem`` or None for the process's, and return its code.
 
-    Args:
-        arguments: What follows ``silem``; None means those of the process.
-
-    Returns:
-        The exit code: 0, 1 where the system refused, 2 on a bad request, 130 on Ctrl-C or SIGTERM,
-        141 where nobody reads the output any more.
+    That is 0, 1 where the system refused, 2 on a bad request, 130 where it was stopped, 141 where
+    nobody reads the output any more.
     """
     try:
-        with runs.sigterm_as_interrupt():
+        with runs.stoppable():
             try:
                 options = parser().parse_args(arguments)
                 if options.with_input:
@@ -99,13 +97,13 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
     whole = _Parser(
         prog="silem",
-        description="Imitation learning across bodies: runs, campaigns and their records.",
+        description="Imitation learning across bodies: runs, studies and their records.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action="version", version=f"silem {silem.__version__}")
     commands = whole.add_subparsers(required=True, metavar="COMMAND")
-    trial, count = _whole(0, 2**31 - 1), _whole(1)
+    trial, count, usual = _whole(0, 2**31 - 1), _whole(1), "default: %(default)s"
 
     def command(execute: Callable[[argparse.Namespace], None]) -> Callable[..., Any]:
         """Add a command, named and described as its function is, and return what adds options."""
@@ -134,24 +132,51 @@ def parser() -> argparse.ArgumentParser:
         add("--seed", type=trial, help="default: 0")
         add("--study", help="default: the body's family")
         add("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
-        add("--config", type=Path, help="a JSON configuration instead of all these")
+
+    def add_runs(add: Callable[..., Any], only: bool = True) -> None:
+        add_budget(add, "book")
+        add("--trials", type=count, help="per cell; default: as many as budget and study have")
+        add("--sample", type=count, metavar="N", help="only the first N configurations of a search")
+        for what in ("body", "method") if only else ():
+            add(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
+
+    def add_loop(add: Callable[..., Any], workers: int | None = None) -> None:
+        many = "so many processes, with one bar; default: this one alone"
+        add("--workers", type=_whole(1, 1024), default=workers, metavar="K", help=many)
+        add("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then")
+        add("--retry", action="store_true", help="also what has failed before")
 
     add = command(_run)
     add_cell(add)
     add("--force", action="store_true", help="start anew, even if finished")
-    add("--wait", action="store_true", help="wait for another process at work on this run")
+
+    several = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
+    add = command(_work)
+    add("studies", nargs="+", **several)
+    add_runs(add)
+    add_loop(add)
 
     add = command(_campaign)
-    add("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(add, "book")
-    add("--trials", type=count, help="per cell; default: as many as budget and study have")
-    add("--workers", type=_whole(1, 1024), default=2, help="default: %(default)s")
-    add("--body", nargs="+", help="only these learners' bodies")
-    add("--method", nargs="+", help="only these methods")
+    add("--study", nargs=1, dest="studies", default=["halfcheetah"], **several)
+    add_runs(add)
+    add_loop(add, workers=2)
+
+    add = command(_search)
+    add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
+    add_runs(add, only=False)
+    add_loop(add)
+
+    add = command(_submit)
+    add("studies", nargs="+", **several)
+    add_runs(add)
+    add("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask")
+    add("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4")
+    add("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more")
+    add("--print", action="store_true", help="show what would be submitted")
 
     add = command(_status)
-    add("--study", default="halfcheetah", help="default: %(default)s")
-    add_budget(add, "book")
+    add("studies", nargs="*", default=["halfcheetah"], **several)
+    add_runs(add, only=False)
 
     add = command(_show)
     add("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
@@ -159,28 +184,26 @@ def parser() -> argparse.ArgumentParser:
 
     add = command(_evaluate)
     add("run_id", metavar="RUN_ID")
-    add("--episodes", type=count, default=10, help="default: %(default)s")
+    add("--episodes", type=count, default=10, help=usual)
 
     add = command(_demonstrations)
     add("--body", help="record its best expert, at --budget")
-    add("--budget", default="book", help="default: %(default)s")
+    add("--budget", default="book", help=usual)
     add("--trial", type=trial, help="that trial's expert instead of the best")
     add("--run", metavar="RUN_ID", help="record this run instead")
-    add("--trajectories", type=count, default=20, help="default: %(default)s")
+    add("--trajectories", type=count, default=20, help=usual)
     add("--force", action="store_true", help="replace another expert's")
 
     add = command(_render)
     add("run_id", metavar="RUN_ID")
-    endings = ", ".join(FILM_ENDINGS)
-    add("--out", type=_film, required=True, help=f"the file to write ({endings})")
-    longest = f"up to {LONGEST_FILM_S:.0f}; default: %(default)s"
+    add("--out", type=_film, required=True, help=f"the file to write ({', '.join(FILM_ENDINGS)})")
+    longest = f"up to {LONGEST_FILM_S:.0f}; {usual}"
     add("--seconds", type=_seconds, default=6.0, help=longest)
     add("--seed", type=trial, default=0)
 
     add = command(_verify)
     add("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
-    of_each = "of each policy (default: %(default)s)"
-    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=of_each)
+    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=f"of each policy; {usual}")
 
     command(_bodies)
 
@@ -200,30 +223,27 @@ def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
         digits = text.lstrip("0") or text[-1:]
         whole = text.isascii() and text.isdecimal() and len(digits) <= len(str(highest))
         if not (whole and lowest <= int(digits) <= highest):
-            raise _refused(text, f"is no whole number from {lowest} to {highest}")
+            why = f"is no whole number from {lowest} to {highest}"
+            raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
         return int(digits)
 
     return convert
 
 
 def _seconds(text: str) -> float:
-    value = float(text) if text.replace(".", "", 1).isdecimal() else 0.0
+    value = float(text) if text.isascii() and text.replace(".", "", 1).isdecimal() else 0.0
     if not 0 < value <= LONGEST_FILM_S:
-        raise _refused(text, f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}")
+        why = f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}"
+        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
     return value
 
 
 def _film(text: str) -> Path:
     path = Path(text)
-    if path.suffix not in FILM_ENDINGS:
-        raise _refused(text, f"ends in none of {', '.join(FILM_ENDINGS)}")
-    if path.is_dir():
-        raise _refused(text, "is a folder")
+    if path.suffix not in FILM_ENDINGS or path.is_dir():
+        why = f"is a folder, or ends in none of {', '.join(FILM_ENDINGS)}"
+        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
     return path
-
-
-def _refused(text: str, why: str) -> argparse.ArgumentTypeError:
-    return argparse.ArgumentTypeError(f"{_short(text)} {why}")
 
 
 def _short(text: str) -> str:
@@ -238,15 +258,10 @@ def budget_of(options: argparse.Namespace) -> Budget:
 
 def config_of(options: argparse.Namespace) -> RunConfig:
     """Return the configuration that the options of ``run`` ask for."""
-    named = ("body", "method", "demonstrations", "budget", "iterations", "seed", "study", "set")
-    if options.config:
-        if given := [f"--{name}" for name in named if getattr(options, name) is not None]:
-            raise SilemError(f"--config says all that {', '.join(given)} would say; give either")
-        return RunConfig.from_dict(files.read_json(options.config))
     if options.demonstrations == "":
         raise SilemError("--demonstrations needs a name, an expert's body, a clip or an .npz file")
     if not (options.body and options.method):
-        raise SilemError("--body and --method are needed, or --config")
+        raise SilemError("--body and --method are needed")
     body, method = options.body, choose("method", options.method, METHODS)
     allowed = [*HyperParameters.used_by(method), *bodies.get(body).parameters]
     overrides = {}
@@ -256,9 +271,9 @@ def config_of(options: argparse.Namespace) -> RunConfig:
             raise SilemError(f"--set takes NAME=VALUE, not {_short(text)}")
         choose(f"setting of {method} on {body}", name, allowed)
         overrides[name] = _value(name, value)
-    budget, seed = budget_of(options), options.seed or 0
+    cell = (body, method, options.demonstrations)
     return RunConfig.create(
-        body, method, options.demonstrations, budget, seed, options.study, **overrides
+        *cell, budget_of(options), options.seed or 0, options.study, **overrides
     )
 
 
@@ -284,7 +299,7 @@ def _finished(run_id: str) -> RunRecord:
 
 def _run(options: argparse.Namespace) -> None:
     """Make one run, or go on with it."""
-    record = runs.run(config_of(options), not options.quiet, options.force, options.wait)
+    record = runs.run(config_of(options), not options.quiet, options.force)
     _print_evaluation(record.run_id, record.evaluation)
     print(record.folder / RECORD)
 
@@ -299,20 +314,83 @@ def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
     print(text)
 
 
-def _campaign(options: argparse.Namespace) -> None:
-    """Make all runs of a study that are missing."""
-    from silem.study.campaign import campaign
+def _configs(options: argparse.Namespace) -> list[RunConfig]:
+    """Return the runs of all studies asked for, one study after the other."""
+    only = {name: getattr(options, name, None) for name in ("body", "method")}
+    budget, trials, sample = budget_of(options), options.trials, options.sample
+    return [
+        config
+        for study in options.studies
+        for config in studies.study_configs(study, budget, trials, sample, **only)
+    ]
 
-    configs = studies.study_configs(
-        options.study, budget_of(options), options.trials, body=options.body, method=options.method
-    )
-    for record in campaign(configs, options.workers, progress=not options.quiet):
+
+def _words(options: argparse.Namespace) -> list[str]:
+    """Return the command line of a loop that does what these options ask for."""
+    words = ["work", *options.studies]
+    for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
+        if (said := getattr(options, name, None)) is not None:
+            words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
+    for module in options.modules:
+        words += ["--import", module]
+    return words
+
+
+def _work(options: argparse.Namespace) -> None:
+    """Make what is missing of studies, run after run."""
+    from silem.study import work
+
+    def made(record: RunRecord) -> None:
         _print_evaluation(record.run_id, record.evaluation)
+
+    configs, progress = _configs(options), not options.quiet
+    for config in configs if options.retry else ():
+        runs.forgive(config)
+    if options.workers:
+        work.crew(_words(options), configs, options.workers, progress)
+    else:
+        work.work(configs, options.minutes or math.inf, progress, made)
+
+
+def _campaign(options: argparse.Namespace) -> None:
+    """`work --retry` on one study, by several processes."""
+    options.retry = True
+    _work(options)
+
+
+def _submit(options: argparse.Namespace) -> None:
+    """Hand work loops over to a cluster."""
+    from silem.study import submit, work
+
+    said = submit.Options.load(options.options)
+    if options.jobs:
+        said = dataclasses.replace(said, jobs=options.jobs)
+    words, configs = _words(options), _configs(options)
+    if options.print:
+        print(submit.submission(options.on, words, said), end="")
+        return
+    work.check(configs)
+    print(submit.submit(options.on, words, said))
+
+
+def _search(options: argparse.Namespace) -> None:
+    """Run a grid of the supplement, and rank its configurations."""
+    if "/" not in options.studies[0]:
+        raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(options.studies[0])}")
+    _work(options)
+    found = studies.ranking(options.studies[0], budget_of(options), options.trials)
+    for place, entry in enumerate(found, 1):
+        said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
+        mark = "  (the supplement's best)" if entry.is_papers else ""
+        print(f"{place:4} {entry.score:8.0f}  {said}{mark}")
 
 
 def _status(options: argparse.Namespace) -> None:
-    """What of a study is finished, running, missing."""
-    print(studies.status_table(options.study, budget_of(options)))
+    """What of studies is finished, running, failed, missing, and how long the rest takes."""
+    from silem.study import work
+
+    for study in options.studies:
+        print(work.status(study, budget_of(options), options.trials, options.sample))
 
 
 def _show(options: argparse.Namespace) -> None:
@@ -342,12 +420,9 @@ def _demonstrations(options: argparse.Namespace) -> None:
     name = None
     if options.run:
         record = _finished(options.run)
-    elif options.trial is None:
-        record = demonstrator(options.body, options.budget)
     else:
-        expert = RunConfig.create(options.body, "ppo", None, options.budget, options.trial)
-        record = _finished(expert.run_id)
-        name = trial_name(record)
+        record = demonstrator(options.body, options.budget, options.trial)
+        name = None if options.trial is None else trial_name(record)
     path = demonstrate(
         record, options.trajectories, name=name, force=options.force, progress=not options.quiet
     )

@@ -63,12 +63,13 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     """
     choose("budget", budget, BUDGETS)
     plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
     for record in _records(study, budget):
         config = record.run_config()
         if _is_copy(config):
             continue
-        if plan := _plan(config, plans):
+        if plan := planned.get(record.run_id) or _plan(config, plans):
             rows.append(_row(record, config, plan))
         else:
             set_aside.append(record.run_id)
@@ -79,7 +80,8 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
     frame = found.drop_duplicates("plan")
     set_aside += list(found.drop(frame.index)["run_id"])
     frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
-    missing = [_keys(plan) for plan in plans if plan.run_id not in set(frame["run_id"])]
+    made = set(frame["run_id"])
+    missing = [_keys(plan) for plan in plans if plan.run_id not in made]
     frame = _with_scores(frame, study, budget)
     frame.attrs = {"study": study, "budget": budget, "missing": missing}
     frame.attrs["set_aside"] = sorted(set_aside)
@@ -103,7 +105,7 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
     folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
     folders.append(paths.results_dir(study))
     found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
-    for record in (check(found[name]) for name in sorted(found)):
+    for record in (check(found[name], with_files=False) for name in sorted(found)):
         if record.run_config().budget.base_name == budget:
             yield record
 

@@ -139,9 +139,11 @@ def budgets() -> Table:
     names = "Environments", "Steps per iteration", "Iterations", "Trials", "Evaluation episodes"
     rows = []
     for budget in BUDGETS.values():
-        iterations, walking = budget.n_iterations, of_family(budget, "humanoid").n_iterations
-        more = f"; humanoids {as_text(walking)}" if walking != iterations else ""
-        spent = budget.n_envs, budget.steps_per_iteration, iterations, budget.n_trials
+        more = ""
+        for name, family in (("Ants", "ant"), ("humanoids", "humanoid")):
+            if (theirs := of_family(budget, family).n_iterations) != budget.n_iterations:
+                more += f"; {name} {as_text(theirs)}"
+        spent = budget.n_envs, budget.steps_per_iteration, budget.n_iterations, budget.n_trials
         row = [f"`{budget.name}`", *map(as_text, (*spent, budget.n_eval_episodes))]
         rows.append([*row[:3], row[3] + more, *row[4:]])
     return Table("budgets", "What each budget spends on a run.", ["Budget", *names], rows)

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from silem import bodies
@@ -55,9 +56,7 @@ class RunConfig:
         Args:
             body: The learner's body.
             method: One of `METHODS`.
-            demonstrations: The expert's body or a clip of motion. None means the family's
-                original body (humanoids: the human's clip), or the learner's own for
-                ``silem-minus-own``, or the clip retargeted to the learner for ``peng20``.
+            demonstrations: The expert's body or a clip of motion; None means the paper's.
             budget: One of `BUDGETS`, or a `Budget` of your own.
             seed: The root seed of every random stream of the run.
             study: The folder the run belongs to; None means the body's family.
@@ -65,8 +64,7 @@ class RunConfig:
                 supplement's best combination for this cell.
 
         Raises:
-            SilemError: Anything unknown, of the wrong type, out of range, or of no use to the
-                method.
+            SilemError: Anything unknown, out of range, or of no use to the method.
         """
         learner = bodies.get(body)
         choose("method", method, METHODS)
@@ -103,7 +101,7 @@ class RunConfig:
     def settings(self) -> dict[str, Setting]:
         """Return every hyper-parameter in use with where it comes from."""
         resolved = settings.resolve(self.body, self.method, self.demonstrations)
-        values = dataclasses.asdict(self.hyper) | dict(self.parameters)
+        values = vars(self.hyper) | dict(self.parameters)
         return {
             name: setting if setting.value == values[name] else Setting(values[name], "this run")
             for name, setting in resolved.items()
@@ -113,19 +111,17 @@ class RunConfig:
         """Return every value that makes this run, a line each, with where it comes from."""
         counts = dataclasses.asdict(self.budget)
         budget = f"budget {counts.pop('name')}"
+        body, method = bodies.get(self.body).description, METHODS[self.method].about
         rows = [
-            ("study", self.study, ""),
-            ("body", self.body, bodies.get(self.body).description),
-            ("method", self.method, METHODS[self.method].about),
-            ("demonstrations", self.demonstrations or "none", ""),
-            ("seed", self.seed, ""),
+            ("study", self.study, ""), ("body", self.body, body), ("method", self.method, method),
+            ("demonstrations", self.demonstrations or "none", ""), ("seed", self.seed, ""),
             *((name, count, budget) for name, count in counts.items()),
             *((name, *setting) for name, setting in self.settings().items()),
-        ]
+        ]  # fmt: skip
         lines = [f"  {name:24}{value!s:16}{source}".rstrip() for name, value, source in rows]
         return "\n".join([self.run_id, *lines])
 
-    @property
+    @cached_property
     def run_id(self) -> str:
         """A readable name that ends in a hash of the configuration alone."""
         content = self.to_dict()
@@ -137,31 +133,22 @@ class RunConfig:
     @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
-        name, _, iterations = self.budget.name.partition("-")
-        study = self.study if self.study != bodies.get(self.body).family else ""
+        budget, _, iterations = self.budget.name.partition("-")
         options = {
-            "import": bodies.module_of(self.body),
-            "body": self.body,
-            "method": self.method,
-            "demonstrations": self.demonstrations,
-            "budget": name,
-            "iterations": iterations,
+            "import": bodies.module_of(self.body), "body": self.body, "method": self.method,
+            "demonstrations": self.demonstrations, "budget": budget, "iterations": iterations,
             "seed": str(self.seed),
-            "study": study,
-        }
+            "study": self.study if self.study != bodies.get(self.body).family else "",
+        }  # fmt: skip
         words = ["silem run", *(f"--{option} {said}" for option, said in options.items() if said)]
-        usual = settings.resolve(self.body, self.method, self.demonstrations)
-        for name, (value, _) in self.settings().items():
-            if value != usual[name].value:
+        for name, (value, source) in self.settings().items():
+            if source == "this run":
                 text = "".join(f"{size}," for size in value) if isinstance(value, tuple) else value
                 words.append(f"--set {name}={text}")
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain JSON types, with the used hyper-parameters only.
-
-        A body of one's own is part of it as `silem.bodies.identity`.
-        """
+        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body."""
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in self.hyper.of_method(self.method).items()
@@ -181,9 +168,7 @@ class RunConfig:
     def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
         """Rebuild a configuration from `to_dict`, through the same checks.
 
-        Raises:
-            SilemError: A key is missing or unknown, a value is not allowed, or the body is another
-                one now.
+        Raises SilemError: As `create`, or the body is another one now.
         """
         keys = [field.name for field in dataclasses.fields(cls) if field.name != "parameters"]
         try:
@@ -195,13 +180,8 @@ class RunConfig:
                 advice = f"; --import {module} loads that" if module else ""
                 raise SilemError(f"{body} is not the body that this run is of{advice}")
             return cls.create(
-                body,
-                content["method"],
-                content["demonstrations"] or None,
-                Budget(**content["budget"]),
-                content["seed"],
-                content["study"],
-                **content["hyper"],
-            )
+                body, content["method"], content["demonstrations"] or None,
+                Budget(**content["budget"]), content["seed"], content["study"], **content["hyper"],
+            )  # fmt: skip
         except (AttributeError, KeyError, TypeError) as error:
             raise SilemError(f"no valid run configuration: {reason(error)}") from error

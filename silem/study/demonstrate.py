@@ -21,23 +21,22 @@ from silem.util.errors import SilemError
 _FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.LocomotionTask`
 
 
-def experts(body: str, budget: str | Budget) -> list[RunConfig]:
-    """Return the configurations of a body's experts: every trial of PPO with the true reward."""
-    first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0])
-    seeds = TRIAL_SEEDS[1 : first.budget.n_trials]
+def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:
+    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's."""
+    first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0] if trial is None else trial)
+    seeds = TRIAL_SEEDS[1 : first.budget.n_trials] if trial is None else ()
     return [first, *(RunConfig.create(body, "ppo", None, budget, seed) for seed in seeds)]
 
 
-def demonstrator(body: str, budget: str | Budget) -> RunRecord:
+def demonstrator(body: str, budget: str | Budget, trial: int | None = None) -> RunRecord:
     """Return a body's demonstrator: the expert with the highest return among all its trials.
 
     "Running as fast as possible" (Section V) is a choice among policies; this is the rule for it,
-    the same for every body. Returns are those of the finished runs' evaluations.
-
-    Raises:
-        SilemError: Not all of the budget's trials are finished; the message names the next.
+    the same for every body. Returns are those of the finished runs' evaluations. A `trial` is one
+    expert, whichever it is. Raises SilemError: not all of these trials are finished; the message
+    names the next.
     """
-    configs = experts(body, budget)
+    configs = experts(body, budget, trial)
     found = [runs.find(config.run_id) for config in configs]
     missing = [config for config, record in zip(configs, found, strict=True) if record is None]
     if missing:
@@ -62,14 +61,11 @@ def demonstrate(
     force: bool = False,
     progress: bool = False,
 ) -> Path:
-    """Record state-only demonstrations of a finished run's stochastic policy and publish them.
+    """Record and publish state-only demonstrations of a finished run's stochastic policy.
 
     Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
     file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
-
-    Raises:
-        SilemError: The run is no expert's, or, without `force`, there are demonstrations of this
-            name by another run already.
+    Raises SilemError: the run is no expert's, or another's are there already, and no `force`.
     """
     from silem.study.evaluate import load_policy, record_episodes
 
@@ -83,12 +79,10 @@ def demonstrate(
     with demos.publishing():
         if path.exists() and not force:
             there = Demonstrations.load(name)
-            if there.expert_run_id != record.run_id or len(there.features) != n_trajectories:
-                raise SilemError(
-                    f"{path} holds {len(there.features)} trajectories of"
-                    f" {there.expert_run_id or 'another expert'} already;"
-                    f" {runs.instead_of(path)}"
-                )
+            n, whose = len(there.features), there.expert_run_id or "another expert"
+            if whose != record.run_id or n != n_trajectories:
+                told = f"{path} holds {n} trajectories of {whose} already"
+                raise SilemError(f"{told}; {runs.instead_of(path)}")
             if demos.is_published(name):
                 return path
         else:
@@ -102,18 +96,15 @@ def demonstrate(
 def describe(name: str) -> str:
     """Say in one line what the manifest knows of demonstrations that an expert made."""
     about = demos.entry(name)
-    text = (
-        f"{about['n_trajectories']} trajectories of {about['expert_run_id']}, return"
-        f" {about['return_mean']:.0f} ± {about['return_std']:.0f}"
-    )
+    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f}"
+    text += " ± {return_std:.0f}"
     if "pitch_rad" in about:
+        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s,"
         text += (
-            f", worst {about['return_worst']:.0f}, failed and kept: {about['n_failed']};"
-            f" {about['speed_m_s']:.2f} m/s, pitch {about['pitch_rad']:.2f} ±"
-            f" {about['pitch_std_rad']:.2f} rad, a joint at its limit"
-            f" {100 * about['limit_share']:.0f} % of the time"
+            " pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
         )
-    return text
+        text += " of the time"
+    return text.format(**about)
 
 
 class Gait(NamedTuple):
@@ -129,11 +120,7 @@ class Gait(NamedTuple):
 
 
 def gait(demonstrations: Demonstrations) -> Gait:
-    """Measure the gait of a runner's demonstrations over all of their states.
-
-    Raises:
-        SilemError: They are no runner's.
-    """
+    """Measure the gait of a runner's demonstrations over all states; SilemError for others."""
     states = np.concatenate(demonstrations.features)
     at_limits = joints_at_limit(states, demonstrations.body)
     pitch = pitch_rad(states)
@@ -155,11 +142,7 @@ def pitch_rad(features: np.ndarray) -> np.ndarray:
 
 
 def joints_at_limit(features: np.ndarray, body: str) -> np.ndarray:
-    """Count the joints at their limits in every state, (..., F) to (...).
-
-    Raises:
-        SilemError: The body is no runner, or has another number of features.
-    """
+    """Count the joints at their limits in a runner's every state, (..., F) to (...)."""
     found = bodies.get(body)
     if not isinstance(found, BulletBody):
         raise SilemError(f"a gait is measured on HalfCheetahs and Ants, not on {body}")

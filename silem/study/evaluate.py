@@ -5,10 +5,8 @@ Policies act stochastically, as in training and in the demonstrations.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from stable_baselines3.common.utils import set_random_seed
@@ -40,14 +38,9 @@ class Policy(Protocol):
 
 
 class RandomPolicy:
-    """The untrained Gaussian policy N(0, std), the paper's lower mark in Figure 2.
+    """The untrained Gaussian policy N(0, std) of a body, the paper's lower mark in Figure 2.
 
     Its actions are not clipped, so that the task charges them as they are, as PyBullet's does.
-
-    Args:
-        body: The body that it moves, or its name.
-        seed: The trial's seed.
-        std: Standard deviation of every action.
     """
 
     def __init__(self, body: Body | str, seed: int = 0, std: float = 1.0) -> None:
@@ -66,11 +59,7 @@ class RandomPolicy:
 
 
 def load_policy(record: RunRecord) -> Policy:
-    """Return a finished run's policy, ready to `predict`.
-
-    Raises:
-        SilemError: The policy's file is missing, not the recorded one, or of another body.
-    """
+    """Return a finished run's policy, ready to `predict`; SilemError if it is not as recorded."""
     config = record.run_config()
     if config.method == "random":
         return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
@@ -85,8 +74,7 @@ def load_policy(record: RunRecord) -> Policy:
     return policy
 
 
-@dataclass(frozen=True)
-class Episode:
+class Episode(NamedTuple):
     """One finished episode."""
 
     features: np.ndarray  # skeletal features of all states, (T + 1, F) float32
@@ -95,8 +83,7 @@ class Episode:
     upright: float | None  # fraction of the steps with the alive bonus, or None likewise
 
 
-@dataclass(frozen=True)
-class Evaluation:
+class Evaluation(NamedTuple):
     """What a policy achieved over `n_episodes` episodes, by the true reward."""
 
     n_episodes: int
@@ -109,7 +96,7 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as plain JSON types."""
-        return dataclasses.asdict(self)
+        return self._asdict()
 
 
 def episodes(
@@ -121,21 +108,11 @@ def episodes(
     progress: bool = False,
     **options: Any,
 ) -> Generator[Episode, None, None]:
-    """Roll out a policy for exactly `n_episodes` episodes.
+    """Roll out a policy for exactly `n_episodes` episodes, yielded in the order they end in.
 
     Every environment's number of episodes is fixed beforehand, so that short episodes are not
-    over-represented.
-
-    Args:
-        policy: What acts. Its random numbers restart from `seed`, as the environments' do.
-        body: The body, or its name.
-        n_episodes: How many episodes.
-        seed: The seed.
-        progress: Show a progress bar.
-        **options: Of the environments (see `silem.envs.make_vec`).
-
-    Yields:
-        The episodes, in the order in which they end.
+    over-represented. The random numbers of policy and environments restart from `seed`; `options`
+    are the environments' (see `silem.envs.make_vec`).
 
     Raises:
         SilemError: The body is unknown, or `n_episodes` is below 1.
@@ -185,27 +162,18 @@ def evaluate(
     progress: bool = False,
     **options: Any,
 ) -> Evaluation:
-    """Evaluate a policy by the true reward over `n_episodes` `episodes`, whose arguments these are.
-
-    A `model` is an imitator whose discriminator scores the episodes.
-    """
-    returns, speeds, uprights, scores = [], [], [], []
+    """Evaluate a policy over `episodes` by the true reward, and by a `model`'s discriminator."""
+    found, scores = [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
-        returns.append(episode.episode_return)
-        speeds.append(episode.speed_m_s)
-        uprights.append(episode.upright)
+        found.append(episode[1:])
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
-    return Evaluation(
-        n_episodes=n_episodes,
-        return_mean=float(np.mean(returns)),
-        return_std=float(np.std(returns)),
-        returns=[round(value, 3) for value in returns],
-        speed_m_s=_mean(speeds),
-        upright=_mean(uprights),
-        disc_reward_mean=_mean(scores),
-    )
+    returns, speeds, uprights = zip(*found, strict=True)
+    mean, std = float(np.mean(returns)), float(np.std(returns))
+    rounded = [round(value, 3) for value in returns]
+    told = _mean(speeds), _mean(uprights), _mean(scores)
+    return Evaluation(n_episodes, mean, std, rounded, *told)
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -214,22 +182,9 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def record_episodes(
-    policy: Policy,
-    body: str,
-    n_trajectories: int = 20,
-    *,
-    run_id: str = "",
-    progress: bool = False,
+    policy: Policy, body: str, n_trajectories: int = 20, *, run_id: str = "", progress: bool = False
 ) -> Demonstrations:
-    """Record so many `episodes` of an expert's policy as state-only demonstrations.
-
-    `run_id` is the expert's run, "" if it is no run's.
-    """
-    seed = _DEMONSTRATION_SEED
-    recorded = list(episodes(policy, body, n_trajectories, seed, progress=progress))
-    return Demonstrations(
-        tuple(episode.features for episode in recorded),
-        tuple(episode.episode_return for episode in recorded),
-        body,
-        run_id,
-    )
+    """Record `episodes` of an expert's policy, `run_id` or no run's (""), without actions."""
+    recorded = episodes(policy, body, n_trajectories, _DEMONSTRATION_SEED, progress=progress)
+    features, returns, *_ = zip(*recorded, strict=True)
+    return Demonstrations(features, returns, body, run_id)

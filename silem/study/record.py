@@ -11,6 +11,7 @@ import subprocess
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from silem.util.errors import SilemError, choose
 
 RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
+CHECKPOINT, PROGRESS = "checkpoint.safetensors", "progress.json"  # of an unfinished run
 _LATER = {"processor_time_s"}  # older records are without
 PACKAGES = (
     "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",
@@ -43,35 +45,19 @@ MAX_ROWS = 200
 
 @dataclass(frozen=True, repr=False)
 class RunRecord:
-    """A finished run, as ``record.json`` holds it.
+    """A finished run, as ``record.json`` holds it."""
 
-    Attributes:
-        run_id: The run's name, which ends in a hash of its configuration.
-        status: ``"finished"``.
-        config: `RunConfig.to_dict`.
-        evaluation: `silem.study.evaluate.Evaluation.to_dict`.
-        training: ``n_steps``, ``steps_per_s`` and ``disc_reward_last`` (per episode, None where
-            there is no discriminator).
-        provenance: `provenance` of the session that finished the run, and ``earlier_commits`` of
-            the sessions it went on from.
-        demonstrations_sha256: Hash of the demonstrations' file, None where none were used.
-        wall_time_s: Time of training and evaluation, over all sessions.
-        processor_time_s: Processor time of the same; None in records of before it was counted.
-        files: SHA-256 of every file beside the record, by name.
-        folder: Where the record was read from or written to; no part of its content.
-    """
-
-    run_id: str
-    status: str
-    config: dict[str, Any]
-    evaluation: dict[str, Any]
-    training: dict[str, Any]
-    provenance: dict[str, Any]
-    demonstrations_sha256: str | None
-    wall_time_s: float
-    files: dict[str, str]
-    folder: Path = dataclasses.field(compare=False)
-    processor_time_s: float | None = None
+    run_id: str  #: its name, which ends in a hash of its configuration
+    status: str  #: ``"finished"``
+    config: dict[str, Any]  #: `RunConfig.to_dict`
+    evaluation: dict[str, Any]  #: `silem.study.evaluate.Evaluation.to_dict`
+    training: dict[str, Any]  #: ``n_steps``, ``steps_per_s``, ``disc_reward_last`` of an episode
+    provenance: dict[str, Any]  #: of the last session, and ``earlier_commits`` of those before
+    demonstrations_sha256: str | None  #: of their file; None where none were used
+    wall_time_s: float  #: of training and evaluation, over all sessions
+    files: dict[str, str]  #: SHA-256 of every file beside the record, by name
+    folder: Path = dataclasses.field(compare=False)  #: where it lies; no part of its content
+    processor_time_s: float | None = None  #: None in records of before it was counted
 
     def __repr__(self) -> str:
         result = self.evaluation
@@ -80,12 +66,7 @@ class RunRecord:
 
     @classmethod
     def load(cls, path: Path) -> RunRecord:
-        """Read ``record.json``, or the one in a folder.
-
-        Raises:
-            SilemError: The file is missing, damaged, or no run record.
-        """
-        path = Path(path)
+        """Read ``record.json``, or the one in a folder; raises SilemError if it is no record."""
         path = path / RECORD if path.is_dir() else path
         content = files.read_json(path)
         names = {field.name for field in dataclasses.fields(cls)} - {"folder"}
@@ -104,16 +85,16 @@ class RunRecord:
         content = {k: v for k, v in content.items() if v is not None or k not in _LATER}
         files.write_json(folder / RECORD, content)
 
-    def run_config(self) -> RunConfig:
-        """Return the configuration, checked anew."""
+    @cached_property
+    def _checked(self) -> RunConfig:
         return RunConfig.from_dict(self.config)
 
-    def file(self, name: str) -> Path:
-        """Return the path of one of the record's files, after checking its hash.
+    def run_config(self) -> RunConfig:
+        """Return the configuration, checked when it is first asked for."""
+        return self._checked
 
-        Raises:
-            SilemError: The run has no such file, or it is not the one that was recorded.
-        """
+    def file(self, name: str) -> Path:
+        """Return one of the record's files; raises SilemError if it is not the recorded one."""
         path = self.folder / choose(f"file of run {self.run_id}", name, self.files)
         if files.sha256(path) != self.files[name]:
             raise SilemError(f"{path} is not the file that its record describes (SHA-256 differs)")
@@ -123,9 +104,8 @@ class RunRecord:
 def provenance() -> dict[str, Any]:
     """Return what the code runs on: commit, pinned environment, package versions, machine.
 
-    ``git_dirty`` tells whether the package's own code differs from the commit. Without git, or
-    where the package was installed from a wheel, both are None. Of the machine, processor and
-    ``kernels``, which the numerical libraries chose for it, move a run's last bits.
+    ``git_dirty`` tells whether the package's own code differs from the commit; both are None where
+    there is no git. Processor and ``kernels`` of the libraries move a run's last bits.
     """
     status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
     root = paths.checkout()
@@ -181,14 +161,10 @@ def curve_row(iteration: int, timesteps: int, stats: dict[str, float]) -> np.nda
 
 
 def thinned(curve: np.ndarray) -> np.ndarray:
-    """Average blocks of neighbouring iterations until at most `MAX_ROWS` rows are left.
+    """Average a curve, (iterations, columns), over blocks until at most `MAX_ROWS` rows are left.
 
-    Args:
-        curve: (iterations, columns), NaN for blank.
-
-    Returns:
-        (rows, columns): each block's mean over what is not blank, at the block's last iteration.
-        Averages rather than every k-th row, because most iterations see no episode end.
+    Each is the mean over what is not NaN, at the block's last iteration. Averages rather than
+    every k-th row, because most iterations see no episode end.
     """
     size = max(1, -(-len(curve) // MAX_ROWS))
     blocks = [curve[start : start + size] for start in range(0, len(curve), size)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import signal
 import threading
@@ -17,18 +18,19 @@ import numpy as np
 from silem import bodies
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint, Stopwatch
 from silem.study.config import MAX_RUN_ID, RunConfig
 from silem.study.record import (
+    CHECKPOINT,
     CURVE,
     CURVE_COLUMNS,
     POLICY,
+    PROGRESS,
     RECORD,
     TRANSFORM,
     RunRecord,
     curve_csv,
     provenance,
-)  # fmt: skip
+)
 from silem.study.settings import check_counts
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
@@ -36,7 +38,9 @@ from silem.util.errors import SilemError, check_name
 if TYPE_CHECKING:
     from silem.algorithms import PPO
 
-LOCK = "run.lock"
+LOCK, ATTEMPT, FAILED = "run.lock", "attempt.json", "failed.txt"
+STARTS = 5
+"""How often a run may be begun at the same checkpoint, each time killed, before it has failed."""
 
 
 def run_folder(config: RunConfig) -> Path:
@@ -45,11 +49,7 @@ def run_folder(config: RunConfig) -> Path:
 
 
 def find(run_id: str) -> RunRecord | None:
-    """Return a finished run's record, or None; published records come first.
-
-    Raises:
-        SilemError: `run_id` can be no run's, or the record is damaged.
-    """
+    """Return a finished run's record, published or not, or None; SilemError if it is damaged."""
     check_name("run id", run_id, MAX_RUN_ID)
     for root in (paths.data_dir() / "results", paths.runs_dir()):
         for path in sorted(root.glob(f"*/{run_id}/{RECORD}")):
@@ -58,19 +58,12 @@ def find(run_id: str) -> RunRecord | None:
 
 
 def finished(config: RunConfig) -> RunRecord | None:
-    """Return a run's record if it is finished, else None.
-
-    Raises:
-        SilemError: It was made with other demonstrations than those there are now.
-    """
+    """Return a run's record, or None; SilemError if its demonstrations are not those there now."""
     record = find(config.run_id)
     if record is None or not config.demonstrations:
         return record
-    path = demos.file_of(config.demonstrations)
-    if not path.exists():
-        return record
-    now, then = files.sha256(path), str(record.demonstrations_sha256)
-    if now != then:
+    path, then = demos.file_of(config.demonstrations), str(record.demonstrations_sha256)
+    if path.exists() and (now := files.sha256(path)) != then:
         raise SilemError(
             f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
             f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
@@ -86,41 +79,76 @@ def instead_of(path: Path) -> str:
     return "set SILEM_DATA_DIR to another folder" if kept else "replace it with --force"
 
 
+def is_finished(config: RunConfig) -> bool:
+    """Tell whether a run's record is there, without a look into it."""
+    folders = (paths.results_dir(config.study) / config.run_id, run_folder(config))
+    return any((folder / RECORD).exists() for folder in folders)
+
+
 def state(config: RunConfig) -> str:
-    """Return "finished", "running", "part" (there is a checkpoint) or "missing"."""
-    if find(config.run_id) is not None:
+    """Return "finished", "running", "failed", "part" (there is a checkpoint) or "missing"."""
+    if is_finished(config):
         return "finished"
     folder = run_folder(config)
     if files.is_locked(folder / LOCK):
         return "running"
+    if (folder / FAILED).exists():
+        return "failed"
     return "part" if (folder / CHECKPOINT).exists() else "missing"
 
 
-@contextmanager
-def sigterm_as_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM while the block runs: there is one way to stop.
+def fail(config: RunConfig, reason: str) -> None:
+    """Note why a run has failed; work loops then leave it alone until it is asked for again."""
+    files.write_text(run_folder(config) / FAILED, f"{reason}\n")
 
-    Python allows this in the main thread alone; elsewhere the block runs as it is.
+
+def forgive(config: RunConfig) -> None:
+    """Forget that a run has failed."""
+    (run_folder(config) / FAILED).unlink(missing_ok=True)
+
+
+@contextmanager
+def _attempt(folder: Path) -> Iterator[None]:
+    """Count how often a run was begun at its checkpoint; only ``kill -9`` leaves the count.
+
+    Raises SilemError: it was killed `STARTS` times there; next time the count begins anew.
     """
-    if threading.current_thread() is not threading.main_thread():
+    path, checkpoint = folder / ATTEMPT, folder / CHECKPOINT
+    reached = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+    before = files.read_json(path) if path.exists() else {}
+    starts = before["starts"] + 1 if before.get("reached") == reached else 1
+    if starts > STARTS:
+        path.unlink()
+        raise SilemError(f"it was killed {STARTS} times without getting on")
+    files.write_json(path, {"starts": starts, "reached": reached})
+    try:
         yield
-        return
+    finally:
+        path.unlink(missing_ok=True)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM as on Ctrl-C while the block runs: one way to stop."""
 
     def interrupt(signal_number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    # Python allows this in the main thread alone. What is ignored, as Ctrl-C is in a shell's
+    # background jobs, stays so.
+    main = threading.current_thread() is threading.main_thread()
+    numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+    caught = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = [(number, signal.signal(number, interrupt)) for number in caught]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before:
+            signal.signal(number, handler)
 
 
 def stop_with_input() -> None:
-    """Stop as by SIGTERM when the standard input ends: when whoever holds its other end does.
-
-    The kernel closes a pipe even after ``kill -9``.
-    """
+    """Stop as by SIGTERM when the standard input ends: with its other end, even by ``kill -9``."""
 
     def watch() -> None:
         while os.read(0, 1024):
@@ -131,7 +159,7 @@ def stop_with_input() -> None:
 
 
 def run(
-    config: RunConfig, progress: bool = True, force: bool = False, wait: bool = False
+    config: RunConfig, progress: bool = True, force: bool = False, until: float = math.inf
 ) -> RunRecord:
     """Return the finished run of a configuration: looked up, resumed, or made from the start.
 
@@ -143,12 +171,14 @@ def run(
         progress: Show a progress bar.
         force: Throw the run's checkpoint away and make it anew, even if it is finished. A record
             that is already published stays until the new one replaces it.
-        wait: If another process works on this run, wait for it instead of raising.
+        until: The `time.monotonic` after which no checkpoint can be reached any more.
 
     Raises:
-        SilemError: Another process works on this run; its checkpoint is damaged or another run's;
-            its demonstrations are missing, too few, or not those it was made with.
-        KeyboardInterrupt: On Ctrl-C or SIGTERM; the message tells how to go on.
+        SilemError: Another process works on this run (`silem.util.files.Held`); its checkpoint is
+            damaged or another run's; its demonstrations are missing, too few, or not those it was
+            made with.
+        KeyboardInterrupt: On Ctrl-C or SIGTERM, or at a checkpoint when time is up; the message
+            tells how to go on.
     """
     folder, published = run_folder(config), paths.results_dir(config.study) / config.run_id
     written = (folder, published)
@@ -156,30 +186,30 @@ def run(
     if not (force or crashed) and (record := finished(config)):
         return record
     check_counts(config.budget, bodies.get(config.body).family)
-    wait_s = float("inf") if wait else 1.0
-    with sigterm_as_interrupt(), files.lock(folder / LOCK, wait_s):
+    with stoppable(), files.lock(folder / LOCK):
         for place in written:
             files.remove_leftovers(place)
         if not force and (record := finished(config)):  # by whoever held the lock
             return record
-        if force:
-            for name in (CHECKPOINT, RECORD, PROGRESS):
-                (folder / name).unlink(missing_ok=True)
+        forgive(config)
+        for name in (CHECKPOINT, RECORD, PROGRESS) if force else ():
+            (folder / name).unlink(missing_ok=True)
         try:
-            return _make(config, folder, progress)
-        except KeyboardInterrupt:
+            return _make(config, folder, progress, until)
+        except KeyboardInterrupt as interrupt:
             kept = "its checkpoint is kept" if (folder / CHECKPOINT).exists() else "no checkpoint"
-            message = f"stopped {config.run_id} ({kept}); to go on: {config.command}"
+            why = f"{interrupt}: " if str(interrupt) else ""
+            message = f"{why}stopped {config.run_id} ({kept}); to go on: {config.command}"
             raise KeyboardInterrupt(message) from None
 
 
-def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
+def _make(config: RunConfig, folder: Path, progress: bool, until: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
     from silem.algorithms import GAIfO
     from silem.study.evaluate import RandomPolicy, evaluate
-    from silem.study.training import make_env, make_model, task_options, train
+    from silem.study.training import Checkpoint, make_env, make_model, task_options, train
 
     torch.set_num_threads(1)
     source = provenance()
@@ -188,34 +218,35 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
     start = Checkpoint.load(path, config, sha or "") if path.exists() else start
     commit = source["git_commit"] or "unknown"
     start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
-    spent = Stopwatch(start)
     training: dict[str, Any] = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
     policy: Any
-    if config.method == "random":
-        policy, names = RandomPolicy(config.learner, config.seed, config.hyper.action_std), []
-    else:
-        env = make_env(config)
-        try:
-            policy = make_model(config, env, demonstrations)
-            curve = train(policy, config, folder, start, spent, progress)
-        finally:
-            env.close()
-        names = _write_outcome(folder, policy, curve, config.run_id)
-        rewards = curve[:, CURVE_COLUMNS.index("disc_reward")]
-        rewards = rewards[~np.isnan(rewards)]
-        n_steps = config.budget.n_steps
-        training = {
-            "n_steps": n_steps,
-            "steps_per_s": n_steps / spent()["wall_time_s"],
-            "disc_reward_last": float(rewards[-1]) if len(rewards) else None,
-        }
-        source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
-    if demonstrations is not None:
-        source["expert_run_id"] = demonstrations.expert_run_id
-    result = evaluate(
-        policy, config.learner, config.budget.n_eval_episodes, progress=progress,
-        model=policy if isinstance(policy, GAIfO) else None, **task_options(config),
-    )  # fmt: skip
+    names: list[str] = []
+    with _attempt(folder):
+        if config.method == "random":
+            policy = RandomPolicy(config.learner, config.seed, config.hyper.action_std)
+        else:
+            env = make_env(config)
+            try:
+                policy = make_model(config, env, demonstrations)
+                curve = train(policy, config, folder, start, progress, until)
+            finally:
+                env.close()
+            names = _write_outcome(folder, policy, curve, config.run_id)
+            rewards = curve[:, CURVE_COLUMNS.index("disc_reward")]
+            rewards = rewards[~np.isnan(rewards)]
+            n_steps = config.budget.n_steps
+            training = {
+                "n_steps": n_steps,
+                "steps_per_s": n_steps / start.spent()["wall_time_s"],
+                "disc_reward_last": float(rewards[-1]) if len(rewards) else None,
+            }
+            source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
+        if demonstrations is not None:
+            source["expert_run_id"] = demonstrations.expert_run_id
+        result = evaluate(
+            policy, config.learner, config.budget.n_eval_episodes, progress=progress,
+            model=policy if isinstance(policy, GAIfO) else None, **task_options(config),
+        )  # fmt: skip
     (folder / PROGRESS).unlink(missing_ok=True)
     record = RunRecord(
         run_id=config.run_id,
@@ -225,7 +256,7 @@ def _make(config: RunConfig, folder: Path, progress: bool) -> RunRecord:
         training=training,
         provenance=source,
         demonstrations_sha256=sha,
-        **spent(),
+        **start.spent(),
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
@@ -256,9 +287,7 @@ def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> 
 def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str | None]:
     """Return a run's demonstrations and their file's SHA-256, or None twice for no imitator.
 
-    Raises:
-        SilemError: They are missing, damaged or not those in the manifest; the message says how to
-            make them.
+    Raises SilemError: they are missing (the message says how to make them) or not as published.
     """
     name = config.demonstrations
     if not name:
@@ -268,8 +297,7 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
         check_made_by_an_expert(name)
         raise SilemError(
             f"there are no demonstrations of {name} ({path}); train its expert with `silem run"
-            f" --body {name} --method ppo`, then record it with `silem demonstrations --body"
-            f" {name}` (both take --budget)"
+            f" --body {name} --method ppo`, then `silem demonstrations --body {name}`"
         )
     return demos.load_published(name)
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from silem import paper
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.settings import BUDGETS, Budget, budget_named
+from silem.study.settings import BUDGETS, Budget, HyperParameters, budget_named
+from silem.util import seeding
 from silem.util.errors import SilemError, choose
 
 Settings = tuple[tuple[str, Any], ...]
@@ -48,8 +50,8 @@ class Study:
 
 
 STUDIES: dict[str, Study] = {}
-SEARCH_SEEDS = (100,)
-"""Root seeds of the search for open settings: none of them is a trial's."""
+SEARCH_SEEDS = (100, 101, 102, 103, 104)
+"""Root seeds of searches for settings: none of them is a trial's."""
 
 
 def _define(
@@ -59,6 +61,7 @@ def _define(
     STUDIES[name] = Study(tuple(Cell(name, *cell) for cell in cells), seeds, about)
 
 
+_ANTS = tuple(f"Ant{i}" for i in range(7))
 _CHEETAHS, _HUMANOIDS = ("HC0", "HC1", "HC2"), ("Humanoid", "HumanoidR", "Atlas")
 _BOTH = ("silem", "silem-minus")
 # The paper gives PPO 8000 iterations on humanoids, with a learning rate of 1e-4 and a clip range of
@@ -75,6 +78,23 @@ _define(
     *(("silem-minus-own", body, body) for body in _CHEETAHS),
     ("silem-mlp", "HC0", "HC0"),
     *(("random", body) for body in _CHEETAHS),
+)
+_define(
+    "ant",
+    "Figure 2d",
+    *(("ppo", body) for body in _ANTS),
+    *((method, body, "Ant0") for method, body in product(_BOTH, _ANTS)),
+    *(("silem-minus-own", body, body) for body in _ANTS),
+    *(("random", body) for body in _ANTS),
+)
+_define(
+    "ant-absorbing",
+    "the shortest and the longest Ant, with what follows an early end judged too",
+    *(
+        (method, body, "Ant0", (("absorbing_states", True),))
+        for method, body in product(_BOTH, ("Ant0", "Ant6"))
+    ),
+    seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "humanoids",
@@ -142,26 +162,51 @@ _define(
         (method, body, "HC0", ((name, value),))
         for (method, name, value), body in product(_SEARCHED, ("HC1", "HC2"))
     ),
-    seeds=SEARCH_SEEDS,
+    seeds=SEARCH_SEEDS[:1],
 )
 
 
-def cells(study: str) -> list[Cell]:
-    """Return a study's cells, experts first.
+def study_of(name: str) -> Study:
+    """Return a study by name; STUDY/BODY/METHOD is the supplement's search of that cell.
 
-    Raises:
-        SilemError: There is no such study.
+    A search runs every point of the grid from which the supplement's best combination of the cell
+    came: that combination first, then the others in an order that was shuffled once, so that the
+    first so many are a fair sample, and more of them go on with it.
+
+    Raises SilemError: there is no such study, no such cell, or the supplement has no grid for it.
     """
-    return list(STUDIES[choose("study", study, STUDIES)].cells)
+    study, *searched = name.split("/")
+    found = STUDIES[choose("study", study, STUDIES)]
+    if not searched:
+        return found
+    known = {f"{cell.body}/{cell.method}": cell for cell in found.cells}
+    cell = known[choose(f"search in {study}", "/".join(searched), known)]
+    table = paper.best_table(cell.body, cell.method)
+    if table is None or not table.grid:
+        raise SilemError(f"the supplement has searched no grid for {cell.method} on {cell.body}")
+    used, printed = HyperParameters.used_by(cell.method), paper.grid_values(table.grid)
+    grid = {paper.symbols()[symbol].parameter: values for symbol, values in printed.items()}
+    grid = {name: values for name, values in grid.items() if name in used}
+    points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+    best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
+    order = seeding.generator(0, "search").permutation(len(points))
+    points = sorted((points[i] for i in order), key=lambda point: point != best)
+    given, label = dict(cell.overrides), f"search-{study}-{cell.body}-{cell.method}"
+    cells = (
+        dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
+        for point in points
+    )
+    return Study(tuple(cells), SEARCH_SEEDS, f"the supplement's grid {table.grid} on {name}")
+
+
+def cells(study: str) -> list[Cell]:
+    """Return a study's cells, experts first; raises as `study_of`."""
+    return list(study_of(study).cells)
 
 
 def seeds_of(study: str, budget: Budget, n_trials: int | None = None) -> tuple[int, ...]:
-    """Return the root seeds of a study's trials; None means as many as budget and study have.
-
-    Raises:
-        SilemError: There is no such study, or it has fewer trials than wanted.
-    """
-    seeds = STUDIES[choose("study", study, STUDIES)].seeds
+    """Return the root seeds of a study's trials; None means as many as budget and study have."""
+    seeds = study_of(study).seeds
     if n_trials is None:
         return seeds[: budget.n_trials]
     if not 1 <= n_trials <= len(seeds):
@@ -170,21 +215,22 @@ def seeds_of(study: str, budget: Budget, n_trials: int | None = None) -> tuple[i
 
 
 def study_configs(
-    study: str, budget: str | Budget, n_trials: int | None = None, **only: Sequence[str] | None
+    study: str,
+    budget: str | Budget,
+    n_trials: int | None = None,
+    sample: int | None = None,
+    **only: Sequence[str] | None,
 ) -> list[RunConfig]:
-    """Return the runs of a study: the first trial of every cell before any second.
+    """Return the runs of a study or search: the first trial of every cell before any second.
 
-    Args:
-        study: The study.
-        budget: A budget's name, or a `Budget`.
-        n_trials: Trials per cell; None means as many as the budget and the study have.
-        **only: ``method=[...]`` and ``body=[...]`` keep those cells alone.
+    Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
+    cells alone; `n_trials` None means as many as the budget and the study have.
 
     Raises:
         SilemError: An unknown study or budget, or more trials than there are fixed seeds.
     """
     budget = budget_named(budget)
-    kept, seeds = cells(study), seeds_of(study, budget, n_trials)
+    kept, seeds = cells(study)[:sample], seeds_of(study, budget, n_trials)
     for name, wanted in only.items():
         for value in wanted or ():
             choose(name, value, dict.fromkeys(getattr(cell, name) for cell in cells(study)))
@@ -192,16 +238,28 @@ def study_configs(
     return [cell.config(budget, seed) for seed in seeds for cell in kept]
 
 
-def status_table(study: str, budget: Budget) -> str:
-    """Return a text table of a study's cells by trials: finished, running, part or missing."""
-    seeds = seeds_of(study, budget)
-    lines = [f"{study}, budget {budget.name}, trials by seed:"]
-    lines.append(f"{'':34}" + "".join(f"{seed:<10}" for seed in seeds))
-    for cell in cells(study):
-        source = f" from {cell.demonstrations}" if cell.demonstrations else ""
-        states = [runs.state(cell.config(budget, seed)) for seed in seeds]
-        overrides = cell.overrides if study == "open-settings" else ()
-        settings = "".join(f" {name}={value}" for name, value in overrides)
-        name = f"{cell.method} {cell.body}{source}{settings}"
-        lines.append(f"{name:34}" + "".join(f"{state:<10}" for state in states))
-    return "\n".join(lines)
+class Ranked(NamedTuple):
+    """One configuration of a search."""
+
+    settings: dict[str, Any]  # what the grid varies
+    score: float  # mean over the trials of the return
+    returns: tuple[float, ...]  # of the trials
+    run_ids: tuple[str, ...]
+    is_papers: bool  # whether it is the supplement's best combination
+
+
+def ranking(study: str, budget: str | Budget, n_trials: int | None = None) -> list[Ranked]:
+    """Rank the configurations of a search of which all trials are finished, the best first.
+
+    The score is the supplement's: the mean over the trials of what the trained policy returns.
+    """
+    budget, found = budget_named(budget), []
+    seeds, searched = seeds_of(study, budget, n_trials), cells(study)
+    for cell in searched:
+        ids = tuple(cell.config(budget, seed).run_id for seed in seeds)
+        records = [record for run_id in ids if (record := runs.find(run_id))]
+        if len(records) == len(seeds):
+            returns = tuple(float(record.evaluation["return_mean"]) for record in records)
+            score, best = sum(returns) / len(returns), cell is searched[0]
+            found.append(Ranked(dict(cell.overrides), score, returns, ids, best))
+    return sorted(found, key=lambda entry: -entry.score)

@@ -1,13 +1,17 @@
-"""Building a run's model and training it in segments (see `silem.study.checkpoint`)."""
+"""Building a run's model, and training it in segments between checkpoints."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
+import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -24,22 +28,21 @@ from silem.envs.mujoco import body_of
 from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
-from silem.study.checkpoint import CHECKPOINT, PROGRESS, Checkpoint, Stopwatch
 from silem.study.config import RunConfig
-from silem.study.record import CURVE_COLUMNS, curve_row
+from silem.study.record import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
 from silem.study.settings import HUMAN, METHODS, Budget
 from silem.util import files, seeding
-from silem.util.errors import SilemError
+from silem.util.errors import SilemError, reason
 
 _PROGRESS_EVERY_S = 2.0
+_MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 
 
 def task_options(config: RunConfig) -> dict[str, Any]:
     """Return what a run's task takes from its demonstrations, for `silem.envs.make_vec`.
 
-    A captured man's mean speed, in whole cm/s, is what earns a humanoid the full reward (Figure 3b
-    of the paper); where nobody was captured the task's default stands.
+    A captured man's mean speed, in whole cm/s, earns a humanoid the full reward (Figure 3b).
     """
     if not config.demonstrations or not isinstance(config.learner, MujocoBody):
         return {}
@@ -115,15 +118,12 @@ def _annealed(start: float) -> Callable[[float], float]:
 def settings(
     body: str, method: str = "silem", *, budget: str | Budget = "book", seed: int = 0, **hyper: Any
 ) -> dict[str, Any]:
-    """Return the settings of a cell as the arguments that its algorithm takes.
+    """Return the settings of a cell, by `RunConfig.create`, as the arguments of its algorithm.
 
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
     trains: the paper's best combination where it prints one, this project's choice elsewhere.
 
-    The arguments are those of `RunConfig.create`.
-
-    Raises:
-        SilemError: As there; or the method learns nothing.
+    Raises SilemError: As there; or the method learns nothing.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
@@ -132,27 +132,132 @@ def settings(
 
 
 def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
-    """Build the untrained model of a run of any method but ``random``.
-
-    The demonstrations are at least as many as the run uses; None for an expert.
-    """
+    """Build the untrained model of a run of any method but ``random``."""
     make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
-    data = [demonstrations.first(config.hyper.n_trajectories)] if demonstrations else []
-    return make("MlpPolicy", env, *data, **arguments(config))
+    if not demonstrations:
+        return make("MlpPolicy", env, **arguments(config))
+    shown, settings = demonstrations.first(config.hyper.n_trajectories), arguments(config)
+    if config.hyper.absorbing_states:  # of the expert's episodes, those that no time limit cut
+        settings["absorbing_states"] = [
+            bool(shown.expert_run_id) and len(states) <= config.learner.max_steps
+            for states in shown.features
+        ]
+    return make("MlpPolicy", env, shown, **settings)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything a training goes on from, in one safetensors file.
+
+    Training is cut into segments of ``budget.checkpoint_every`` iterations. At every segment's
+    start, interrupted or not, the environments are reset and all random streams restart from the
+    run's seed and the iteration. So a checkpoint needs neither random states nor episodes under
+    way, and a resumed run equals an uninterrupted one bit for bit.
+    """
+
+    run_id: str
+    iteration: int  # finished
+    wall_time_s: float  # over all sessions, as what follows
+    processor_time_s: float | None  # None where an earlier session did not count
+    commits: tuple[str, ...]  # of the code
+    demonstrations_sha256: str  # of their file; "" where none are used
+    curve: np.ndarray  # (iteration, columns), NaN for blank
+    model: dict[str, np.ndarray]  # its `state_arrays`
+    began: tuple[float, float] = field(
+        default_factory=lambda: (time.perf_counter(), time.process_time()), compare=False
+    )
+
+    @classmethod
+    def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+        """Return what a run starts from that has not begun."""
+        no_curve = np.empty((0, len(CURVE_COLUMNS)))
+        return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
+
+    def spent(self) -> dict[str, Any]:
+        """Return seconds by the clock and of the processor until now, over all sessions."""
+        before, processor_s = self.processor_time_s, time.process_time() - self.began[1]
+        return {
+            "wall_time_s": self.wall_time_s + time.perf_counter() - self.began[0],
+            "processor_time_s": None if before is None else before + processor_s,
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the checkpoint; a crash, or SilemError if it diverged, leaves the one before."""
+        for name, array in self.model.items():
+            if not np.isfinite(array).all():
+                raise SilemError(
+                    f"{self.run_id} diverged before iteration {self.iteration}: {name} holds NaN"
+                    " or infinity; the checkpoint before is kept"
+                )
+        arrays = {_MODEL + name: array for name, array in self.model.items()}
+        arrays[_CURVE] = self.curve
+        metadata = {
+            "run_id": self.run_id,
+            "iteration": str(self.iteration),
+            "wall_time_s": repr(self.wall_time_s),
+            "processor_time_s": json.dumps(self.processor_time_s),
+            "commits": json.dumps(self.commits),
+            "demonstrations_sha256": self.demonstrations_sha256,
+        }
+        metadata[_SHA256] = _digest(arrays, metadata)
+        files.write_tensors(path, arrays, metadata)
+
+    @classmethod
+    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+        """Read a checkpoint of a given run.
+
+        Raises SilemError: the file is damaged, another run's, or was made with other
+        demonstrations. Nothing is deleted.
+        """
+        try:
+            arrays, metadata = files.read_tensors(path)
+            if metadata.pop(_SHA256, "") != _digest(arrays, metadata):
+                raise SilemError(f"the checksum of {path} differs")
+            found = cls(
+                metadata["run_id"],
+                int(metadata["iteration"]),
+                float(metadata["wall_time_s"]),
+                json.loads(metadata["processor_time_s"]),
+                tuple(json.loads(metadata["commits"])),
+                metadata["demonstrations_sha256"],
+                arrays.pop(_CURVE),
+                {name.removeprefix(_MODEL): array for name, array in arrays.items()},
+            )
+            if found.run_id != config.run_id:
+                raise SilemError(f"{path} is a checkpoint of {found.run_id}, not {config.run_id}")
+            if found.demonstrations_sha256 != demonstrations_sha256:
+                raise SilemError(f"{path} was made with other demonstrations (bring those back)")
+            if found.curve.shape != (found.iteration, len(CURVE_COLUMNS)):
+                raise SilemError(f"{path} is of another version: its curve is another")
+            return found
+        except (KeyError, TypeError, ValueError) as error:  # a SilemError is one
+            raise SilemError(
+                f"damaged checkpoint: {reason(error)}; move it away, or run with --force, to start"
+                " this run anew"
+            ) from error
+
+
+def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
+    """Return a SHA-256 of all that a checkpoint holds."""
+    about = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
+    digest = hashlib.sha256(json.dumps([about, dict(metadata)], sort_keys=True).encode())
+    for name in sorted(arrays):
+        digest.update(np.asarray(arrays[name], order="C").tobytes())
+    return digest.hexdigest()
 
 
 class Segments(BaseCallback):
     """Cuts a training into segments, keeps its learning curve and shows progress (see `train`)."""
 
     def __init__(
-        self, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, bar: tqdm[Any]
+        self, config: RunConfig, folder: Path, start: Checkpoint, bar: tqdm[Any], until: float
     ) -> None:
         super().__init__()
-        self._config, self._folder, self._start = config, folder, start
-        self._spent, self._bar = spent, bar
+        self._config, self._folder, self._start, self._bar = config, folder, start, bar
+        self._until, self._saved = until, time.monotonic()
         self._rows = list(start.curve)
         self._return: float | None = None
-        self._shown = time.perf_counter()
+        self._shown = 0.0
 
     @property
     def curve(self) -> np.ndarray:
@@ -161,26 +266,22 @@ class Segments(BaseCallback):
 
     @property
     def _ppo(self) -> PPO:
-        assert isinstance(self.model, PPO)
-        return self.model
+        return cast(PPO, self.model)
 
     def _iteration(self) -> int:
         return self.model.num_timesteps // self._config.budget.steps_per_iteration
 
     def _on_rollout_start(self) -> None:
-        due = self._iteration() % self._config.budget.checkpoint_every == 0
+        iteration, seed, model = self._iteration(), self._config.seed, self._ppo
+        due = iteration % self._config.budget.checkpoint_every == 0
         self._end_iteration(save=due)
-        if due:
-            self._begin_segment(self._iteration())
-
-    def _begin_segment(self, iteration: int) -> None:
-        model, seed, env = self._ppo, self._config.seed, self.training_env
-        env.seed(seeding.child_seed(seed, "env", iteration))
-        # As at learn()'s start; an imitation learner sees by the episode starts that all its
-        # windows begin anew.
-        model._last_obs = np.asarray(env.reset())
-        model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
-        model.reseed(seeding.child_seed(seed, "model", iteration))
+        if due:  # begin a segment
+            self.training_env.seed(seeding.child_seed(seed, "env", iteration))
+            # As at learn()'s start; an imitation learner sees by the episode starts that all its
+            # windows begin anew.
+            model._last_obs = np.asarray(self.training_env.reset())
+            model._last_episode_starts = np.ones(self.training_env.num_envs, dtype=bool)
+            model.reseed(seeding.child_seed(seed, "model", iteration))
 
     def _on_step(self) -> bool:
         return True
@@ -196,28 +297,41 @@ class Segments(BaseCallback):
         self._rows.append(curve_row(iteration, self.model.num_timesteps, stats))
         self._bar.update()
         self._return = stats.get("return_mean", self._return)  # most iterations end no episode
-        if time.perf_counter() - self._shown > _PROGRESS_EVERY_S:
+        if save or time.monotonic() - self._shown > _PROGRESS_EVERY_S:
             self._show(iteration)
         if save:
-            arrays, spent = self._ppo.state_arrays(), self._spent()
+            arrays, spent = self._ppo.state_arrays(), self._start.spent()
             now = dict(iteration=iteration, curve=self.curve, model=arrays, **spent)
             dataclasses.replace(self._start, **now).save(self._folder / CHECKPOINT)
+            segment_s = time.monotonic() - self._saved
+            self._saved += segment_s
+            if self._saved + segment_s > self._until:
+                raise KeyboardInterrupt("time is up")
 
     def _show(self, iteration: int) -> None:
-        self._shown = time.perf_counter()
+        self._shown = time.monotonic()
         if self._return is not None:
             self._bar.set_postfix_str(f"return {self._return:.0f}")
-        total = self._config.budget.n_iterations
-        content = {"iteration": iteration, "n_iterations": total, "return": self._return}
+        content = {
+            "iteration": iteration,
+            "n_iterations": self._config.budget.n_iterations,
+            "return": self._return,
+            "wall_time_s": self._start.spent()["wall_time_s"],
+        }
         files.write_json(self._folder / PROGRESS, content)
 
 
 def train(
-    model: PPO, config: RunConfig, folder: Path, start: Checkpoint, spent: Stopwatch, progress: bool
+    model: PPO,
+    config: RunConfig,
+    folder: Path,
+    start: Checkpoint,
+    progress: bool,
+    until: float = math.inf,
 ) -> np.ndarray:
-    """Train a model of `make_model` from a checkpoint's iteration to the end of its budget.
+    """Train a model from a checkpoint on, with others to `folder`; return the curve.
 
-    Checkpoints and the progress file go to `folder`. Returns the curve, (iterations, columns).
+    Raises KeyboardInterrupt: at a checkpoint from which the next cannot be reached before `until`.
     """
     if start.iteration:
         model.load_state_arrays(start.model)
@@ -230,7 +344,7 @@ def train(
     with bar, warnings.catch_warnings():
         # a run's reward is the paper's; the book tells what it does where episodes end
         warnings.simplefilter("ignore", SurvivalWarning)
-        segments = Segments(config, folder, start, spent, bar)
+        segments = Segments(config, folder, start, bar, until)
         if remaining:
             # reset_num_timesteps=False: the learning rate decays over the whole budget, and a
             # resumed run goes on where it was.

@@ -9,7 +9,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from silem.study.record import (
     RunRecord,
     git,
     provenance,
-)  # fmt: skip
+)
 from silem.study.settings import IMITATORS, Budget
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
@@ -39,7 +38,6 @@ FASTEST_M_S = 20.0
 TOLERANCE = 5.0
 """On another processor a policy meets other episodes; the mean return of those evaluated anew may
 then differ from the recorded one by so many standard errors of the difference."""
-
 # What code raises that takes a record's content for what it should be.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 # older records did not count it; no episode need end while an imitator learns
@@ -59,20 +57,19 @@ class Verdict:
         return f"{self.name}: {self.outcome} ({self.why})"
 
 
-def check(folder: Path) -> RunRecord:
+def check(folder: Path, *, with_files: bool = True) -> RunRecord:
     """Load the record in a folder and check that it is whole and agrees with itself.
 
     Checked are its configuration (through the one strict door), that the run id is the
     configuration's and the folder's name, its counts against the configuration, its means and
-    deviations against the single returns, that every number lies where it can, and every file
-    beside it: its SHA-256, whose it is, and that it can be read.
-
-    Raises:
-        SilemError: Naming the folder and what is wrong.
+    deviations against the single returns, that every number lies where it can, and (`with_files`)
+    every file beside it: its SHA-256, whose it is, and that it can be read. Raises SilemError:
+    naming the folder and what is wrong.
     """
     record = RunRecord.load(folder)
     try:
-        for fault in _faults(record, folder.name):
+        faults = itertools.chain(_faults(record, folder.name), _faults_of_files(record, with_files))
+        if fault := next(faults, ""):
             raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
@@ -86,8 +83,6 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
     config, evaluation, training = record.run_config(), record.evaluation, record.training
     if not config.run_id == record.run_id == name:
         yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
-    yield from _not_finite({"evaluation": evaluation, "training": training})
-
     returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
     if not len(returns) == evaluation["n_episodes"] == n_episodes:
         counted = f"{len(returns)} returns of {evaluation['n_episodes']} episodes"
@@ -98,9 +93,7 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
     for kind, found in (("mean", np.mean(returns)), ("std", np.std(returns))):
         if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
             yield f"return_{kind} is not the {kind} of the episodes' returns"
-
     yield from _faults_of_numbers(record, config)
-    yield from _faults_of_files(record, config)
 
 
 def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
@@ -124,46 +117,35 @@ def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
         if value is None:
             if there and what not in _MAY_LACK:
                 yield f"it does not say {what}"
-        elif not (low <= value <= high and value < math.inf):
+        elif not (low <= value <= high and math.isfinite(value)):
             yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
         elif not there and what.startswith("disc_"):
             yield f"{what} is {value:g}, but {config.method} has no discriminator"
 
 
-def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
+def _faults_of_files(record: RunRecord, wanted: bool) -> Iterator[str]:
+    config = record.run_config()
     if record.status != "finished":
         yield f"status is {record.status!r}; a record is of a finished run"
     if (record.demonstrations_sha256 is None) != (not config.demonstrations):
         yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
-
     expected = [] if config.method == "random" else [CURVE, POLICY]
     expected += [TRANSFORM] if config.transform == "affine" else []
-    if sorted(record.files) != sorted(expected):
-        yield f"it has the files {sorted(record.files)}; expected: {sorted(expected)}"
-    if POLICY in expected:
+    if sorted(record.files) != expected:
+        yield f"it has the files {sorted(record.files)}; expected: {expected}"
+    if wanted and POLICY in record.files:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
             yield f"{POLICY} is the policy of {about.get('run_id')!r}"
         curve = files.read_csv(record.file(CURVE))
         yield from _faults_of_curve(curve, config.budget, config.learner.max_steps)
-    if TRANSFORM in expected:
+    if wanted and TRANSFORM in record.files:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
         if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
             yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
         if not all(np.isfinite(array).all() for array in arrays.values()):
             yield f"{TRANSFORM} holds NaN or infinity"
-
-
-def _not_finite(value: Any, where: str = "record") -> Iterator[str]:
-    """Walk through nested JSON; NaN and infinity are not even JSON, but Python reads them."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield f"{where} is not finite"
-    if isinstance(value, list):
-        value = dict(enumerate(value))
-    if isinstance(value, dict):
-        for key, entry in value.items():
-            yield from _not_finite(entry, f"{where}.{key}")
 
 
 def _faults_of_curve(
@@ -197,9 +179,8 @@ def _faults_of_curve(
 def check_source(record: RunRecord) -> None:
     """Check what a record rests on: its demonstrations, and for evidence its commits.
 
-    Raises:
-        SilemError: The demonstrations are not those published now, or a commit is none of this
-            repository's (where there is git, and the whole history).
+    Raises SilemError: the demonstrations are not those published now, or a commit is none of this
+    repository's (where there is git, and the whole history).
     """
     config = record.run_config()
     if config.demonstrations:
@@ -267,11 +248,8 @@ def _evaluated(record: RunRecord, n: int, total: int) -> Verdict:
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
     for name in ("speed_m_s", "upright") if n == total else ():
-        values = [getattr(episode, name) for episode in there]
-        if evaluation[name] is None:
-            same = same and set(values) == {None}
-        else:
-            same = same and math.isclose(np.mean(values), evaluation[name], abs_tol=1e-9)
+        values, told = [getattr(episode, name) for episode in there], evaluation[name]
+        same &= set(values) == {None} if told is None else abs(np.mean(values) - told) <= 1e-9
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
         return Verdict(record.run_id, EXACT, why)
@@ -295,14 +273,18 @@ def _made_here(record: RunRecord) -> bool:
 def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterator[Verdict]:
     """Verify one run, or a study's published records, or (None) all of them and demonstrations.
 
-    Raises:
-        SilemError: There is nothing of this name.
+    Raises SilemError: there is nothing of this name.
     """
     results = paths.data_dir() / "results"
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
-    elif demos.manifest():
-        yield from map(_verify_demonstrations, demos.manifest())
+    for published in demos.manifest() if name is None else ():
+        try:
+            n, outcome = len(demos.load_published(published)[0].features), SOUND
+            why = f"{n} trajectories, SHA-256 as published"
+        except SilemError as error:
+            outcome, why = NOT, str(error)
+        yield Verdict(f"demonstrations {published}", outcome, why)
     records = sorted(results.glob(f"{name or '*'}/*/{RECORD}"))
     records = records or sorted(results.glob(f"*/{name}/{RECORD}"))
     records = records or sorted(paths.runs_dir().glob(f"*/{name}/{RECORD}"))
@@ -310,12 +292,3 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
         raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
     for path in records:
         yield verify(path.parent, n_episodes)
-
-
-def _verify_demonstrations(name: str) -> Verdict:
-    label = f"demonstrations {name}"
-    try:
-        there, _ = demos.load_published(name)
-    except SilemError as error:
-        return Verdict(label, NOT, str(error))
-    return Verdict(label, SOUND, f"{len(there.features)} trajectories, SHA-256 as published")

@@ -112,9 +112,16 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON."""
+    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON.
+
+    NaN and Infinity are not, although Python reads them.
+    """
+
+    def refuse(constant: str) -> float:
+        raise ValueError(f"it holds {constant}")
+
     with _content(path, "no valid JSON") as data:
-        return json.loads(data)
+        return json.loads(data, parse_constant=refuse)
 
 
 def read_csv(path: Path) -> dict[str, np.ndarray]:
@@ -216,6 +223,10 @@ def sha256(path: Path) -> str:
         return hashlib.sha256(data).hexdigest()
 
 
+class Held(SilemError):
+    """Another process holds a lock."""
+
+
 @contextmanager
 def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs, after waiting `wait_s` for another process.
@@ -224,7 +235,7 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     stay behind. The file's text is the holder's ``pid@host``, for messages only.
 
     Raises:
-        SilemError: Another process holds the lock (the message names it), or there can be none.
+        SilemError: Another process holds the lock (`Held`, which names it), or there can be none.
     """
     path = Path(path)
     until = time.monotonic() + wait_s
@@ -234,9 +245,7 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
             descriptor = stack.enter_context(_opened(path, os.O_RDWR | os.O_CREAT))
             while not _lock_now(descriptor, fcntl.LOCK_EX):
                 if time.monotonic() >= until:
-                    holder = os.pread(descriptor, 100, 0).decode(errors="replace")
-                    name = holder.strip() or "another process"
-                    raise SilemError(f"{path} is held by {name}, which is at work there")
+                    raise Held(f"{path} is held by {holder(path)}, which is at work there")
                 time.sleep(0.02)
         except OSError as error:
             raise SilemError(f"cannot lock {path}: {reason(error)}") from error
@@ -256,6 +265,23 @@ def is_locked(path: Path) -> bool:
             return not _lock_now(descriptor, fcntl.LOCK_SH)
     except OSError as error:
         return isinstance(error, PermissionError)
+
+
+def holder(path: Path) -> str:
+    """Return who holds a `lock`, or held it last: ``pid@host``."""
+    with suppress(OSError), open(path, "rb") as stream:
+        return stream.read(100).decode(errors="replace").strip() or "another process"
+    return "another process"
+
+
+def check_locks(folder: Path) -> None:
+    """Raise SilemError where the file system of a folder lets a lock be taken twice."""
+    path = Path(folder) / "locks.lock"
+    with lock(path, wait_s=60.0), suppress(Held), lock(path, wait_s=0.0):
+        raise SilemError(
+            f"the file system of {folder} does not honour locks, so that two workers could make"
+            " one run; set SILEM_DATA_DIR to one that does"
+        )
 
 
 def _lock_now(descriptor: int, kind: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import warnings
@@ -18,12 +19,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from silem import cli
 from silem.motion import demonstrations as demos
+from silem.motion import demonstrator, retargeting
 from silem.motion.demonstrations import Demonstrations
-from silem.study import runs, verify
-from silem.study.checkpoint import Checkpoint
+from silem.study import runs, submit, verify, work
 from silem.study.config import RunConfig
 from silem.study.record import CURVE_COLUMNS, RECORD, RunRecord, curve_csv, curve_row
+from silem.study.training import Checkpoint
 from silem.util import files
 from silem.util.errors import SilemError
 
@@ -162,3 +165,62 @@ def test_any_name_and_any_manifest(
     ends_well(lambda: demos.load_published(name))
     manifest.unlink()
     manifest.parent.rmdir()
+
+
+# ---------------------------------------------------------------- the command line
+
+COMMANDS: dict[str, argparse.ArgumentParser] = next(
+    action.choices
+    for action in cli.parser()._actions
+    if isinstance(action, argparse._SubParsersAction)
+)
+SOME = [
+    "HC0", "ant", "silem", "tiny", "quick", "book", "0", "1", "-1", "1e3", "nan", "a=b", "=", "-",
+    "halfcheetah/HC2/silem", "halfcheetah//", "../x", "/", "", "\0", "x.mp4", "slurm", "dask", "--",
+    "no_such_module", "policy_hidden=[8]", "policy_hidden=\"\\d\"", "window=9999999999",
+    "gamma=0.9", "٣", "{}", "9" * 400,
+]  # fmt: skip
+
+
+@st.composite
+def lines(draw: st.DrawFn) -> list[str]:
+    """A command with some of its options, or others', and any words after each."""
+    name = draw(st.sampled_from(sorted(COMMANDS)))
+    known = [word for action in COMMANDS[name]._actions for word in action.option_strings]
+    options = st.sampled_from(
+        [word for word in known if word not in ("-h", "--help", "--with-input")]
+    )
+    words = st.sampled_from(SOME) | st.text(max_size=8)
+    drawn = draw(st.lists(st.one_of(options, words, words, options), max_size=8))
+    cell = ["--body", "HC0", "--method", "silem"]
+    changed = [*cell, "--set", f"gamma={draw(words)}"]
+    sound = draw(st.sampled_from([[], ["ant"], cell, changed]))
+    return [name, *sound, *drawn]
+
+
+@many
+@given(words=lines())
+def test_any_command_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    words: list[str],
+) -> None:
+    """Nothing is trained, drawn, submitted or fetched; what leads there is the real thing."""
+    record = synthetic.write_record(CONFIG, folder=tmp_path / "record")
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setattr(runs, "run", lambda *args, **kwargs: record)
+    monkeypatch.setattr(work, "work", lambda configs, *args: work.check(configs))
+    monkeypatch.setattr(work, "crew", lambda words, configs, *args: work.check(configs))
+    monkeypatch.setattr(submit, "submit", submit.submission)
+    for name in ("publish_clips", "publish_own"):
+        monkeypatch.setattr(demonstrator, name, lambda *args, **kwargs: [])
+    monkeypatch.setattr(retargeting, "publish_retargeted", lambda *args, **kwargs: [])
+    try:
+        code = cli.main(words)
+    except SystemExit as end:  # argparse's own help and version
+        code = end.code or 0
+    said = capfd.readouterr().err
+    assert code in (0, 1, 2), (words, said)
+    assert bool(code) == said.startswith("silem: "), (words, said)
+    assert said.count("\n") <= 1, (words, said)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
+from silem.util.errors import SilemError
 
 
 @pytest.fixture(autouse=True)
@@ -39,12 +41,21 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
         ("run --body HC0 --method ppo --set gama=0.9", "unknown setting of ppo on HC0 'gama'"),
         ("run --body HC0 --method silem --quiet", "silem demonstrations --body HC0"),
-        ("run --config nowhere.json", "cannot read nowhere.json"),
         ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
         ("campaign --workers 0 --method random", "--workers: '0' is no whole number from 1"),
         ("campaign --method silem --budget tiny", "needs demonstrations of HC0"),
+        ("work", "arguments are required: STUDY"),
+        ("work chess", "unknown study 'chess'"),
+        ("work ant --minutes 0", "--minutes: '0' is no whole number from 1"),
+        ("work ant --method silem --budget tiny", "needs demonstrations of Ant0"),
+        ("search ant", "a search is STUDY/BODY/METHOD, not 'ant'"),
+        ("search ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
+        ("search ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
+        ("submit ant --on pbs --print", "unknown engine 'pbs'; allowed: slurm, htcondor, dask"),
+        ("submit ant --on slurm --jobs 0", "--jobs: '0' is no whole number from 1"),
+        ("submit ant --on slurm --options nowhere.toml", "cannot read nowhere.toml"),
         ("campaign --body HC9", "unknown body 'HC9'"),
-        ("status --study chess", "unknown study 'chess'"),
+        ("status chess", "unknown study 'chess'"),
         ("evaluate ppo_HC0", "no finished run 'ppo_HC0'"),
         ("render ppo_HC0 --out x.mp4", "no finished run"),
         ("demonstrations", "needs either --body or --run"),
@@ -66,9 +77,8 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ),
         (f"run --body HC0 --method ppo --set n_epochs={'9' * 5000}", "999...' is no number"),
         (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
-        ("run --body HC0 --config a.json --seed 0", "--config says all that --body, --seed would"),
         ("evaluate ppo_HC0 --episodes 0", "'0' is no whole number from 1"),
-        ("render ppo_HC0 --out x.xyz", "'x.xyz' ends in none of .mp4, .webp"),
+        ("render ppo_HC0 --out x.xyz", "'x.xyz' is a folder, or ends in none of .mp4, .webp"),
         ("render ppo_HC0 --out x.mp4 --seconds 1e12", "'1e12' is no number of seconds above 0"),
         ("render ppo_HC0 --out x.mp4 --seconds nan", "'nan' is no number of seconds"),
         ("render ppo_HC0 --out x.mp4 --seed -1", "'-1' is no whole number from 0"),
@@ -161,16 +171,14 @@ def test_the_run_of_a_modules_body_is_no_run_of_anothers(data: Path) -> None:
     ],
 )
 def test_a_configuration_of_the_wrong_kind_is_one_line(
-    content: dict[str, Any], message: str, data: Path, capsys: pytest.CaptureFixture[str]
+    content: dict[str, Any], message: str
 ) -> None:
     whole = RunConfig.create("HC1", "random").to_dict()
     if isinstance(content.get("budget"), dict):
         content["budget"] = whole["budget"] | content["budget"]
-    files.write_json(data / "config.json", whole | content)
-    assert main(["run", "--config", str(data / "config.json")]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    with pytest.raises(SilemError, match=re.escape(message)) as error:
+        RunConfig.from_dict(whole | content)
+    assert "\n" not in str(error.value)
 
 
 def test_the_endings_of_films_are_those_that_can_be_written() -> None:
@@ -193,14 +201,13 @@ def test_a_body_of_ones_own_by_import(data: Path) -> None:
     code = f"""
 import sys
 from silem import bodies, cli
-from silem.study.campaign import campaign
+from silem.study import work
 from silem.study.config import RunConfig
 
 assert cli.main({words.split()!r}) == 0
 config = RunConfig.create("HC1p5", "random", seed=1, study="mine")
 print(config.command)
-(record,) = campaign([config], n_workers=1, progress=False)
-print(record.run_id == config.run_id)
+work.work([config], progress=False, made=lambda record: print(record.run_id == config.run_id))
 """
     done = python("-c", code, cwd=data)
     assert done.returncode == 0, done.stderr
@@ -298,6 +305,26 @@ def test_stopping_while_options_are_parsed_is_one_line(sent: str, data: Path) ->
     (data / "slow.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
     done = python("-m", "silem", "status", "--import", "slow", cwd=data)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "silem: stopped\n")
+
+
+@pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
+def test_stopping_while_the_package_loads_is_silent(sent: str, data: Path) -> None:
+    """As soon as the package's first line has run; what Python does before is its own."""
+    (data / "numpy.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
+    done = python("-m", "silem", "bodies", cwd=data)
+    assert (done.returncode, done.stdout, done.stderr) == (-getattr(signal, sent), "", "")
+    script = data / "silem"  # as pip writes it
+    script.write_text("import sys\nfrom silem.cli import main\nsys.exit(main())\n")
+    done = python(str(script), "bodies", cwd=data)
+    assert (done.returncode, done.stdout, done.stderr) == (-getattr(signal, sent), "", "")
+
+
+def test_a_program_that_imports_the_package_keeps_its_ctrl_c(data: Path) -> None:
+    (data / "program.py").write_text(
+        "import os, signal\nimport silem\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "except KeyboardInterrupt:\n    print('caught')\n"
+    )
+    assert python("program.py", cwd=data).stdout == "caught\n"
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])

@@ -176,8 +176,8 @@ def _set(*keys: str | int, to: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_set("evaluation", "speed_m_s", to=float("nan")), r"evaluation\.speed_m_s is not finite"),
-        (_set("evaluation", "returns", 1, to=float("inf")), r"returns\.1 is not finite"),
+        (_set("evaluation", "speed_m_s", to=float("nan")), "it holds NaN"),
+        (_set("evaluation", "returns", 1, to=float("inf")), "it holds Infinity"),
         (_set("evaluation", "return_mean", to=0.0), "not the mean"),
         (_set("evaluation", "n_episodes", to=3), "2 returns of 3 episodes"),
         (_set("config", "seed", to=3), "its configuration's is"),
@@ -200,6 +200,8 @@ def test_a_record_that_contradicts_itself_is_refused(
     with pytest.raises(SilemError, match=message):
         check(record.folder)
     with pytest.raises(SilemError, match=message):
+        if "SHA" in message:  # a file is checked by whoever reads it
+            results.load_curve(results.load_records("halfcheetah", "tiny")["run_id"][0])
         results.load_records("halfcheetah", "tiny")
 
 

@@ -19,11 +19,11 @@ from silem import bodies
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, settings, training
-from silem.study.checkpoint import CHECKPOINT, Checkpoint
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import RandomPolicy, evaluate, load_policy
 from silem.study.record import (
+    CHECKPOINT,
     CURVE,
     CURVE_COLUMNS,
     POLICY,
@@ -35,6 +35,7 @@ from silem.study.record import (
     thinned,
 )
 from silem.study.settings import Budget
+from silem.study.training import Checkpoint
 from silem.util import files, paths, seeding
 from silem.util.errors import SilemError
 
@@ -178,12 +179,13 @@ def test_kill_9_at_random_moments(data: Path, tmp_path: Path) -> None:
     shutil.copytree(data / "demonstrations", killed_data / "demonstrations")
     files.write_json(tmp_path / "config.json", config.to_dict())
     folder = killed_data / runs.run_folder(config).relative_to(data)
-    command = [sys.executable, "-m", "silem", "run", "--quiet", "--config"]
+    code = "import json, sys; from silem import RunConfig, run; "
+    code += "run(RunConfig.from_dict(json.load(open(sys.argv[1]))), progress=False)"
     rng = seeding.generator(int(time.time()), "kill test")
     kills = 0
     while not (folder / RECORD).exists():
         process = subprocess.Popen(
-            [*command, str(tmp_path / "config.json")],
+            [sys.executable, "-c", code, str(tmp_path / "config.json")],
             env=os.environ | {"SILEM_DATA_DIR": str(killed_data)},
             cwd=paths.REPO,
             stdout=subprocess.DEVNULL,
@@ -226,31 +228,6 @@ def checkpoint(config: RunConfig, iteration: int) -> Checkpoint:
     return Checkpoint(config.run_id, iteration, 1.0, 0.5, ("abc",), "", np.array(rows), weights)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"iteration": 10**9}, "iteration 1000000000"),  # "finished" untrained
-        ({"iteration": 8}, "iteration 8"),  # beyond the budget
-        ({"iteration": 3}, "iteration 3"),  # between two checkpoints
-        ({"iteration": 0}, "iteration 0"),
-        ({"iteration": 2}, "no curve of 2 iterations"),
-        ({"wall_time_s": -1.0}, r"-1\.0 s"),
-        ({"processor_time_s": float("nan")}, "nan s"),
-        ({"curve": np.zeros((4, 12))}, "no curve of 4"),
-        ({"commits": (1,)}, "no text"),
-    ],
-)
-def test_a_checkpoint_that_cannot_be_this_runs_is_refused(
-    tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
-    path, config = tmp_path / CHECKPOINT, small("ppo")
-    checkpoint(config, 4).save(path)
-    assert Checkpoint.load(path, config, "").iteration == 4
-    dataclasses.replace(checkpoint(config, 4), **change).save(path)
-    with pytest.raises(SilemError, match=rf"damaged checkpoint.*{message}.*--force"):
-        Checkpoint.load(path, config, "")
-
-
 def test_any_changed_byte_of_a_checkpoint_is_noticed(tmp_path: Path) -> None:
     path, config = tmp_path / CHECKPOINT, small("ppo")
     checkpoint(config, 4).save(path)
@@ -263,19 +240,20 @@ def test_any_changed_byte_of_a_checkpoint_is_noticed(tmp_path: Path) -> None:
             Checkpoint.load(path, config, "")
 
 
-def test_a_checkpoint_of_the_version_before_is_taken(tmp_path: Path) -> None:
-    """It has neither a checksum nor processor time, which then stays unknown."""
+def test_a_checkpoint_that_says_something_else_is_noticed(tmp_path: Path) -> None:
+    """Say "finished" of an untrained one."""
     path, config = tmp_path / CHECKPOINT, small("ppo")
-    new = checkpoint(config, 4)
-    new.save(path)
-    arrays, metadata = files.read_tensors(path)
-    old = {k: v for k, v in metadata.items() if k not in ("sha256", "processor_time_s")}
-    files.write_tensors(path, arrays, old)
-    found = Checkpoint.load(path, config, "")
-    assert (found.iteration, found.commits, found.processor_time_s) == (4, ("abc",), None)
-    np.testing.assert_array_equal(found.model["policy/w"], new.model["policy/w"])
-    files.write_tensors(path, arrays, old | {"sha255": "0"})
-    with pytest.raises(SilemError, match="unknown sha255"):
+    checkpoint(config, 4).save(path)
+    arrays, about = files.read_tensors(path)
+    for changed in (
+        about | {"wall_time_s": "9.0"},
+        {k: v for k, v in about.items() if k != "sha256"},
+    ):
+        files.write_tensors(path, arrays, changed)
+        with pytest.raises(SilemError, match=r"damaged checkpoint.*--force"):
+            Checkpoint.load(path, config, "")
+    dataclasses.replace(checkpoint(config, 4), curve=np.zeros((4, 9))).save(path)
+    with pytest.raises(SilemError, match="of another version"):
         Checkpoint.load(path, config, "")
 
 

@@ -1,0 +1,328 @@
+"""Working through studies: a loop that makes one run after another, and what such loops have done.
+
+The file system is the truth. A loop takes the next run whose lock is free; so any number of loops
+on any number of machines share a data folder, and any of them may die at any moment.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from itertools import product
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+from tqdm import tqdm
+
+from silem.motion import demonstrations as demos
+from silem.study import demonstrate, runs
+from silem.study.config import RunConfig
+from silem.study.record import PROGRESS, RunRecord
+from silem.study.settings import Budget, expert_of
+from silem.study.studies import cells, seeds_of
+from silem.util import files, paths
+from silem.util.errors import SilemError, reason
+
+STOPPED = 130
+"""The exit code of a loop that was stopped, or whose time was up: the same command goes on."""
+_GOES_ON = "the same command goes on"
+_POLL_S = 1.0
+_MOST_KILLS = 100  # of one loop of a crew, which is then not started again
+_ENOUGH = 3  # measured runs of a kind
+
+
+def experts_of(config: RunConfig) -> list[RunConfig]:
+    """Return the experts of whom the rule still has to choose a run's demonstrator.
+
+    None where its demonstrations are there, or it needs none (see `demonstrate.demonstrator`).
+    """
+    name = config.demonstrations
+    if not name or demos.is_published(name):
+        return []
+    body, trial = expert_of(name)
+    runs.check_made_by_an_expert(body)
+    return demonstrate.experts(body, config.budget.base_name, trial)
+
+
+def check(configs: Sequence[RunConfig]) -> None:
+    """Refuse work that cannot be done.
+
+    Raises SilemError: an imitator's expert is neither finished nor among the runs; a finished run
+    was made with other demonstrations than those there are now; or there are no locks.
+    """
+    planned = {config.run_id for config in configs}
+    for config in configs:
+        for expert in experts_of(config) if not runs.finished(config) else ():
+            if expert.run_id not in planned and not runs.is_finished(expert):
+                raise SilemError(
+                    f"{config.run_id} needs demonstrations of {config.demonstrations}, and the"
+                    f" expert {expert.run_id} is neither finished nor asked for; first:"
+                    f" {expert.command}"
+                )
+    files.check_locks(paths.runs_dir())
+
+
+def work(
+    configs: Sequence[RunConfig],
+    minutes: float = math.inf,
+    progress: bool = True,
+    made: Callable[[RunRecord], None] = lambda record: None,
+) -> None:
+    """Make one run after another until none is left that nobody is at.
+
+    Always the first in the order given whose lock is free, whose experts are finished, which has
+    not failed, and which can reach a checkpoint in the time left, as far as its speed is known.
+
+    Args:
+        configs: The runs, of all that share the work.
+        minutes: The time to work. A run under way stops at its last checkpoint within it.
+        progress: Show a bar for each run.
+        made: Called with the record of each run that this loop has finished.
+
+    Raises:
+        SilemError: As `check`, before anything starts; or some of the runs have failed, after all
+            others were made.
+        KeyboardInterrupt: On Ctrl-C or SIGTERM, or when time is up and runs are left.
+    """
+    until = time.monotonic() + 60.0 * minutes
+    try:
+        with runs.stoppable():
+            check(configs)
+            while _pass(configs, until, progress, made):
+                pass
+    except KeyboardInterrupt as interrupt:
+        raise KeyboardInterrupt(f"{str(interrupt) or 'stopped'}; {_GOES_ON}") from None
+    raise_failures(configs)
+
+
+def _pass(
+    configs: Sequence[RunConfig], until: float, progress: bool, made: Callable[[RunRecord], None]
+) -> bool:
+    """Make the first run that can be made, or wait a moment; return whether there may be more."""
+    left = [config for config in configs if not runs.is_finished(config)]
+    step_s = speeds(configs) if until < math.inf else lambda config: None
+    experts: dict[str, list[RunConfig]] = {}
+    waiting = late = False
+    for config in left:
+        if runs.state(config) in ("running", "failed"):
+            continue
+        kind = f"{config.demonstrations} {config.budget.base_name}"
+        needed = experts.setdefault(kind, experts_of(config))
+        states = {runs.state(expert): expert.run_id for expert in needed}
+        budget = config.budget
+        segment_s = (step_s(config) or 0.0) * budget.checkpoint_every * budget.steps_per_iteration
+        if lost := states.get("failed"):
+            runs.fail(config, f"it needs {lost}, which has failed")
+        elif states.keys() - {"finished"}:
+            waiting = True
+        elif time.monotonic() + segment_s > until:
+            late = True
+        elif record := _make(config, progress, until):
+            made(record)
+            return True
+    if late or (waiting and time.monotonic() > until):
+        raise KeyboardInterrupt(f"time is up: {len(left)} of {len(configs)} runs are left")
+    time.sleep(_POLL_S if waiting else 0.0)
+    return waiting
+
+
+def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
+    """Make a run, and first its demonstrations; None where somebody else does, or it has failed."""
+    try:
+        if experts_of(config):
+            (body, trial), name = expert_of(config.demonstrations), config.demonstrations
+            record = demonstrate.demonstrator(body, config.budget.base_name, trial)
+            demonstrate.demonstrate(record, name=name, progress=progress)
+        return runs.run(config, progress, until=until)
+    except files.Held:
+        return None
+    except Exception as error:  # whatever it is, the other runs go on
+        if not isinstance(error, SilemError):
+            traceback.print_exc()
+        runs.fail(config, reason(error))
+        return None
+
+
+def failed(configs: Sequence[RunConfig]) -> dict[str, str]:
+    """Return why runs have failed, by run id."""
+    reasons = {}
+    for config in configs:
+        with suppress(FileNotFoundError):
+            text = (runs.run_folder(config) / runs.FAILED).read_text(errors="replace")
+            reasons[config.run_id] = reason(ValueError(text))
+    return reasons
+
+
+def raise_failures(configs: Sequence[RunConfig]) -> None:
+    """Raise SilemError if any of the runs has failed."""
+    if failures := failed(configs):
+        told = "; ".join(f"{name} failed: {why}" for name, why in failures.items())
+        raise SilemError(f"{told} (--retry tries again)")
+
+
+# ---------------------------------------------------------------- several loops on one machine
+
+
+def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: bool = True) -> None:
+    """Let `n` processes work, each by the command line ``silem`` `words`, with one bar for all.
+
+    However this process ends, they end with it. One that is killed is started again. Raises
+    SilemError, KeyboardInterrupt: As `work`.
+    """
+    check(configs)
+    command = [sys.executable, "-m", "silem", *words, "--quiet", "--with-input"]
+    log, kills = paths.runs_dir() / "work.log", 0
+    loops: list[subprocess.Popen[bytes]] = []
+    bar = tqdm(total=len(configs), desc="runs", unit="run", disable=not progress)
+    try:
+        with runs.stoppable(), bar:
+            loops += [_start(command, log) for _ in range(n)]
+            while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
+                kills += _restart(loops, command, log)
+                if kills > _MOST_KILLS * n:
+                    raise SilemError(f"workers are killed again and again (log: {log})")
+                if progress:
+                    _show(bar, configs)
+                time.sleep(_POLL_S / 4)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped all workers at their checkpoints; {_GOES_ON}") from None
+    finally:
+        for loop in loops:
+            loop.terminate()
+        for loop in loops:
+            loop.wait()
+    raise_failures(configs)
+    codes = [loop.returncode for loop in loops]
+    if STOPPED in codes:
+        raise KeyboardInterrupt(f"time is up; {_GOES_ON}")
+    if any(codes):
+        lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
+        raise SilemError(f"workers ended with {codes}: {lines[-1]} (log: {log})")
+
+
+def _start(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start a loop whose input, a pipe, ends when this process does.
+
+    It has a session of its own: Ctrl-C in the terminal reaches this process alone, which then
+    stops each loop once.
+    """
+    with open(log, "ab") as stream:
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
+            env=os.environ | environment(), start_new_session=True,
+        )  # fmt: skip
+
+
+def _restart(loops: list[subprocess.Popen[bytes]], command: Sequence[str], log: Path) -> int:
+    """Start loops anew that were killed; return how many."""
+    killed = [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]
+    for i in killed:
+        loops[i] = _start(command, log)
+    return len(killed)
+
+
+def environment() -> dict[str, str]:
+    """Return what a loop elsewhere needs of this process's environment."""
+    moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
+    if root := paths.checkout():
+        moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
+    return moved
+
+
+def _show(bar: tqdm[Any], configs: Sequence[RunConfig]) -> None:
+    left = [config for config in configs if not runs.is_finished(config)]
+    bar.n = len(configs) - len(left)
+    bar.set_postfix_str("; ".join(describe(c) for c in left if runs.state(c) == "running"))
+
+
+# ---------------------------------------------------------------- what has been done
+
+
+def progress_of(config: RunConfig) -> dict[str, Any]:
+    """Return what an unfinished run last said of itself: iteration, return, wall time."""
+    with suppress(SilemError):  # not there yet, or just gone
+        said = files.read_json(runs.run_folder(config) / PROGRESS)
+        if isinstance(said, dict) and {"iteration", "return", "wall_time_s"} <= said.keys():
+            return said
+    return {"iteration": 0, "return": None, "wall_time_s": 0.0}
+
+
+def describe(config: RunConfig) -> str:
+    """Say in a few words how far a run is."""
+    said = progress_of(config)
+    text = f"{config.run_id} {said['iteration']}/{config.budget.n_iterations}"
+    return text if said["return"] is None else f"{text}, return {said['return']:.0f}"
+
+
+def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
+    """Return what tells how many seconds a step of a run takes, its evaluation included.
+
+    That is measured: by the run itself, else by others of the same method and body, the same
+    method, the same body, or any; None where nothing was measured.
+    """
+    spent: dict[tuple[str, str], list[float]] = defaultdict(list)
+
+    def measured(config: RunConfig) -> float | None:
+        if runs.is_finished(config):
+            record = runs.find(config.run_id)
+            return record.wall_time_s / config.budget.n_steps if record else None
+        said = progress_of(config)
+        n_steps = said["iteration"] * config.budget.steps_per_iteration
+        return said["wall_time_s"] / n_steps if n_steps else None
+
+    for config in configs:
+        enough = len(spent[config.method, config.body]) >= _ENOUGH or config.method == "random"
+        if not enough and (one := measured(config)):
+            for kind in product((config.method, ""), (config.body, "")):
+                spent[kind].append(one)
+
+    def of(config: RunConfig) -> float | None:
+        kinds = product((config.method, ""), (config.body, ""))
+        found = next((spent[kind] for kind in kinds if spent.get(kind)), [])
+        return measured(config) or (mean(found) if found else None)
+
+    return of
+
+
+def status(
+    study: str, budget: Budget, n_trials: int | None = None, sample: int | None = None
+) -> str:
+    """Return what has been done of a study: cells by trials, who is at what, failures, time left.
+
+    The arguments are those of `silem.study.studies.study_configs`.
+    """
+    seeds, shown = seeds_of(study, budget, n_trials), cells(study)[:sample]
+    names = [" from ".join(filter(None, (f"{c.method} {c.body}", c.demonstrations))) for c in shown]
+    several = {name for name, count in Counter(names).items() if count > 1}
+    rows = [[cell.config(budget, seed) for seed in seeds] for cell in shown]
+    configs = [config for trial in zip(*rows, strict=True) for config in trial]
+    states = {config.run_id: runs.state(config) for config in configs}
+    lines = [f"{study}, budget {budget.name}, trials by seed:"]
+    lines.append(f"{'':34}" + "".join(f"{seed:<10}" for seed in seeds))
+    for cell, name, row in zip(shown, names, rows, strict=True):
+        settings = cell.overrides if name in several else ()
+        title = name + "".join(f" {setting}={value}" for setting, value in settings)
+        lines.append(f"{title:34}" + "".join(f"{states[c.run_id]:<10}" for c in row).rstrip())
+    at_work = [config for config in configs if states[config.run_id] == "running"]
+    for config in at_work:
+        lock = runs.run_folder(config) / runs.LOCK
+        lines.append(f"at work: {describe(config)} ({files.holder(lock)})")
+    lines += [f"failed: {name}: {why}" for name, why in failed(configs).items()]
+    left = [c for c in configs if states[c.run_id] not in ("finished", "failed")]
+    told = f"left: {len(left)} of {len(configs)} runs"
+    if learning := [config for config in left if config.method != "random"]:
+        step_s, hours = speeds(configs), 0.0
+        for config in learning:
+            done = progress_of(config)["iteration"] * config.budget.steps_per_iteration
+            hours += (step_s(config) or math.nan) * (config.budget.n_steps - done) / 3600
+        told += f", {hours:.1f} hours for one worker at the speed measured"
+        told += f", {hours / len(at_work):.1f} for {len(at_work)}" if len(at_work) > 1 else ""
+    return "\n".join([*lines, told.replace("nan hours", "an unknown time", 1)])
