@@ -19,6 +19,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -28,7 +29,7 @@ from typing import Any
 import nbformat
 from tqdm import tqdm
 
-from silem.report import glance, results, style
+from silem.report import glance, reads, results, style, web
 from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, read_json, write_json
@@ -72,11 +73,16 @@ def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
 def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
     """Execute notebooks side by side, each in a process of its own, with a progress bar.
 
-    The folder receives the executed copies, failed ones too; what it held before is removed. Once
-    all have run, a SilemError holds each failure.
+    The folder receives the executed copies, failed ones too. One that it already holds stays if
+    neither the notebook nor anything that it read has changed; all else there is removed. Once all
+    have run, a SilemError holds each failure.
     """
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    fresh = [p for p in paths if reads.is_fresh(p, folder / p.name, parameters.get(p.stem, {}))]
+    paths = [path for path in paths if path not in fresh]
+    for old in folder.iterdir():
+        if old.name.partition(".")[0] not in {path.stem for path in fresh}:
+            old.unlink()
     failures: dict[str, str] = {}
     bar = tqdm(total=len(paths), desc="notebooks", unit="page")
     with bar, ThreadPoolExecutor(n_workers) as pool:
@@ -102,7 +108,11 @@ def _papermill(notebook: Path, target: Path, parameters: Mapping[str, Any]) -> t
     command += [str(notebook), str(target)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
     started = time.perf_counter()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory() as noted:
+        environment |= reads.watching(Path(noted))
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if not done.returncode:
+            reads.keep(notebook, target, parameters, Path(noted))
     error = (done.stderr.strip() or "no message")[-3000:] if done.returncode else ""
     return time.perf_counter() - started, error
 
@@ -176,7 +186,9 @@ def build(
         if not (reuse_executed and any(executed.glob("*.ipynb"))):
             execute(notebooks(), executed, n_workers, parameters)
         stage(executed, source)
+        web.write(source / "book" / "_static" / "web")
         build_html(source, root)
+        web.finish(folder / "html")
         if not reuse_executed:
             write_json(folder / _STATE, {"digest": digest})
     return folder / "html"

@@ -210,6 +210,8 @@ def trace(frame: pd.DataFrame) -> HTML:
     The lists are the runs with the command that reruns each, the planned runs that are not made yet
     with the command that makes each, and the runs that were set aside.
     """
+    from silem.report import web  # which reads results
+
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
     where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
@@ -221,6 +223,7 @@ def trace(frame: pd.DataFrame) -> HTML:
         f"runs of other settings or seeds, not shown ({len(set_aside)})": set_aside,
     }
     page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
+    page += web.links(frame) if len(frame) else ""
     for summary, shown in folded.items():
         texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
         codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]

@@ -67,7 +67,9 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
             f"{figure} shows {', '.join(names)}; the runs of study {study!r} are of"
             f" {', '.join(sorted(known))}"
         )
-    return results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
+    shown = results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
+    shown.attrs["figure"] = figure
+    return shown
 
 
 def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = True) -> None:
@@ -198,10 +200,11 @@ def affine_or_mlp(frame: pd.DataFrame) -> Figure:
         points: dict[str, Any] = {"ls": "none", "marker": look.marker, "color": look.color}
         axes.plot(rows["disc_reward"], rows["return_mean"], ms=6, mec="white", **points)
         at = [printed["discriminator_reward"]], [printed["ground_truth_reward"]]
-        axes.plot(*at, ms=12, mfc="none", mew=1.8, zorder=3, **points)
+        axes.plot(*at, ms=12, mfc="none", mew=1.8, zorder=3, gid=style.GHOST, **points)
         label = f"{name}, {style.trials(len(rows))}"
         handles.append(style.handle(label=label, ms=7, mec="white", **points))
     paper_mark: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": style.MUTED, "mew": 1.8}
+    paper_mark |= {"gid": style.GHOST}
     handles.append(style.handle(style.MUTED, "the paper's means", ls="none", ms=9, **paper_mark))
     for method in ("ppo", "random"):
         returns = results.scores(frame, method, "HC0", "return_mean")

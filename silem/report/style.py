@@ -34,6 +34,10 @@ FAINT = "#d9d9d9"
 PAPER = "#E69F00"
 """Colour of the paper's own numbers."""
 
+GHOST, WITHOUT_GHOSTS = "paper", "without-paper"
+"""The name of what an SVG shows of the paper's numbers, and the fragment that hides it."""
+
+_HIDING = f"<style>svg:target [id^='{GHOST}'] {{ visibility: hidden }}</style>"
 WARNING = "#B3261E"
 DASHED: Any = (0, (4, 3))
 """The line of a level that something is held against."""
@@ -177,10 +181,25 @@ def trials(count: int) -> str:
 def svg(figure: Figure) -> str:
     """Return a figure as SVG text; the same figure always gives the same text."""
     stream = io.StringIO()
+    _name_ghosts(figure)
     with applied():
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     # The XML prologue is of no use inside a page.
-    return re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
+    text = re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
+    if f'id="{GHOST}' in text:
+        text = re.sub(r"<svg ([^>]*)>", rf'<svg id="{WITHOUT_GHOSTS}" \1>{_HIDING}', text, count=1)
+    return text
+
+
+def _name_ghosts(figure: Figure) -> None:
+    """Name what is drawn of the paper's own numbers, and what stands for it in a legend."""
+    for line in figure.findobj(Line2D):
+        if line.get_color() == PAPER:
+            line.set_gid(GHOST)
+    for legend in figure.legends:
+        for mark, label in zip(legend.legend_handles, legend.get_texts(), strict=True):
+            if mark is not None and mark.get_gid() == GHOST:
+                label.set_gid(GHOST)
 
 
 def save(figure: Figure, path: Path) -> None:

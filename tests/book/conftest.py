@@ -9,13 +9,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from silem.report import build
+from silem.report import build, pdf, web
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
-
-CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
-QUIET = ["--disable-background-networking", "--disable-component-update", "--disable-quic"]
 
 
 @pytest.fixture(scope="session")
@@ -38,13 +35,20 @@ def html() -> Path:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """A headless Chromium from the system's packages."""
-    found = [path for name in CHROMIUM_NAMES if (path := shutil.which(name))]
-    if not found:
-        pytest.fail(
-            "no Chromium found; on Debian: apt-get install --no-install-recommends chromium",
-            pytrace=False,
-        )
+    try:
+        program = pdf.chromium()
+    except SilemError as error:
+        pytest.fail(str(error), pytrace=False)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found[0], args=QUIET)
+        browser = playwright.chromium.launch(executable_path=program, args=pdf.QUIET)
         yield browser
         browser.close()
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the scripts and packs of the pages, for pages that a test writes."""
+    folder = tmp_path_factory.mktemp("site")
+    shutil.copytree(REPO / "book" / "_static", folder / "_static")
+    web.write(folder / "_static" / "web")
+    return folder

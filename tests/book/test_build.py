@@ -9,7 +9,7 @@ import papermill
 import pytest
 from nbformat import v4
 
-from silem.report import build
+from silem.report import build, reads
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -84,3 +84,36 @@ def test_the_digest_follows_the_records(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_table_of_contents_lists_every_notebook() -> None:
     toc = (REPO / "_toc.yml").read_text()
     assert [p.stem for p in build.notebooks() if f"notebooks/{p.stem}\n" not in toc] == []
+
+
+def test_a_notebook_runs_again_only_when_it_or_what_it_read_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path / "data"))
+    data = tmp_path / "data" / "results" / "study"
+    (data / "one").mkdir(parents=True)
+    (data / "one" / "record.json").write_text("1")
+    path = write_notebook(
+        tmp_path / "01_page.ipynb", "x = 1",
+        f"import pathlib, time; print(time.time_ns(), [p.read_text() for p in"
+        f" pathlib.Path({str(data)!r}).glob('*/record.json')], x)",
+    )  # fmt: skip
+
+    def fresh(**parameters: int) -> bool:
+        return reads.is_fresh(path, tmp_path / "out" / path.name, parameters)
+
+    build.execute([path], tmp_path / "out", 1, {})
+    first = (tmp_path / "out" / path.name).read_text()
+    (tmp_path / "data" / "unread.txt").write_text("nobody reads this")
+    assert fresh() and not fresh(x=2)
+    build.execute([path], tmp_path / "out", 1, {})
+    assert (tmp_path / "out" / path.name).read_text() == first  # with its time
+    (data / "one" / "record.json").write_text("2")
+    assert not fresh()
+    (data / "one" / "record.json").write_text("1")
+    assert fresh()
+    (data / "two").mkdir()  # a run that was not there
+    assert not fresh()
+    (data / "two").rmdir()
+    path.write_text(path.read_text().replace(", x)", ", x, 'changed')"))
+    assert not fresh()

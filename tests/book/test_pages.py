@@ -91,7 +91,10 @@ def test_page_fits_its_width(opened: Opened) -> None:
     assert opened.page.evaluate(OVERFLOW_PX) <= 0
 
 
-@pytest.mark.parametrize("name", ["book/api", "book/method", "book/how_to_run"])
+@pytest.mark.parametrize(
+    "name",
+    [f"book/{n}" for n in ("api", "method", "how_to_run", "push", "slider", "cost", "reviewers")],
+)
 def test_page_fits_a_phone(name: str, html: Path, browser: Browser) -> None:
     opened = open_page(browser, html / f"{name}.html", width=390)
     assert opened.page.evaluate(OVERFLOW_PX) <= 0

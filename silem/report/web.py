@@ -1,0 +1,241 @@
+"""What the pages that can be played with read: files that a script tag loads from the disk.
+
+A page opened from the disk may fetch nothing, but it may load scripts. A pack is therefore a script
+that holds bytes: ``silem.packs[name] = "<base64>"``. `write` puts all packs beside the pages.
+
+A body's pack is binary: the header's length in bytes as little-endian uint32, a JSON header, and
+float32 values, little-endian: the observation's mean and scale, then weights (out, in) and biases
+of each layer of the policy, then its log standard deviations.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import gzip
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from importlib.metadata import distribution
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from silem import bodies
+from silem.algorithms.networks import CLIP
+from silem.bodies import MujocoBody, humanoid
+from silem.report import results, style
+from silem.report.film import encode_png
+from silem.report.transforms import feature_names
+from silem.study.evaluate import load_policy
+from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.settings import METHODS
+from silem.study.studies import STUDIES
+from silem.util import files, paths
+from silem.util.errors import SilemError
+from silem.util.paths import REPO
+
+BODIES = {
+    "Humanoid": "silem_Humanoid_from_cmu_08_01_book_s0_b5918e5b",
+    "HumanoidR": "silem_HumanoidR_from_cmu_08_01_book_s0_221849b0",
+}
+"""The bodies to push, and the run whose policy moves each."""
+
+NPM_PACKAGE = "@mujoco/mujoco", "3.14.0"
+"""MuJoCo's own WebAssembly build at npm, and its version."""
+NPM_SHA256 = "f845a07ab81303cc6579fec07136818bed21d44a31c1911340f61e06f4d11eee"
+
+
+def pack(name: str, data: bytes) -> str:
+    """Return the script that holds a pack."""
+    return f"silem.packs[{json.dumps(name)}] = {json.dumps(base64.b64encode(data).decode())};\n"
+
+
+def body_pack(name: str) -> bytes:
+    """Return a body with the policy that moves it, as a binary (see the module).
+
+    The model in it has no scaled arm: the page scales both as `silem.bodies.humanoid.model` does.
+    """
+    body, run = bodies.of_kind(name, MujocoBody), results.find(BODIES[name])
+    policy: Any = load_policy(run)
+    mean, scale = policy.features_extractor.mean_and_scale(np.dtype(np.float32))
+    layers = [*policy.mlp_extractor.policy_net[::2], policy.action_net]
+    arrays = [mean, scale]
+    for layer in layers:
+        arrays += [layer.weight.detach().numpy(), layer.bias.detach().numpy()]
+    arrays.append(policy.log_std.detach().numpy())
+    header = {
+        "body": name,
+        "run_id": run.run_id,
+        "layers": [list(layer.weight.shape) for layer in layers],
+        "clip": CLIP,
+        "n_substeps": body.n_substeps,
+        "standing_pose": list(body.standing_pose),
+        "fall_head_m": body.fall_head_m,
+        "target_speed_m_s": body.target_speed_m_s,
+        "arms": humanoid.ARM_FACTORS if body.varied else humanoid.UNSCALED,
+        "skeleton": dataclasses.asdict(body.skeleton),
+        "model": humanoid.model(),
+    }
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    values = np.concatenate([array.ravel() for array in arrays]).astype("<f4").tobytes()
+    return len(text).to_bytes(4, "little") + text + values
+
+
+def physics(cache: Path) -> dict[str, bytes] | None:
+    """Return the program and the compressed WebAssembly of MuJoCo's npm package.
+
+    It is fetched once with ``npm pack`` and kept in a folder; None where that cannot be done.
+
+    Raises:
+        SilemError: The package is not the one that the checksum names.
+    """
+    name, version = NPM_PACKAGE
+    archive = cache / f"mujoco-wasm-{version}.tgz"
+    if not archive.exists():
+        npm, environment = shutil.which("npm"), os.environ | {"npm_config_fetch_retries": "0"}
+        with tempfile.TemporaryDirectory() as folder:
+            command = [npm or "", "pack", f"{name}@{version}", "--pack-destination", folder]
+            if not npm or subprocess.run(command, env=environment, capture_output=True).returncode:
+                print(f"note: no {name} from npm: its page shows a film", file=sys.stderr)
+                return None
+            (fetched,) = Path(folder).glob("*.tgz")
+            files.write_bytes(archive, fetched.read_bytes())
+    if files.sha256(archive) != NPM_SHA256:
+        raise SilemError(f"{archive} is not {name} {version}: its SHA-256 is not {NPM_SHA256}")
+    with tarfile.open(archive) as opened:
+        members = {member: opened.extractfile(f"package/{member}") for member in _MEMBERS}
+        read = {member: found.read() for member, found in members.items() if found}
+    return {member: gzip.compress(data, 9, mtime=0) for member, data in read.items()}
+
+
+_MEMBERS = ("mujoco.js", "mujoco.wasm")
+
+
+def records() -> list[RunRecord]:
+    """Return every published record, in the order of the studies, bodies and methods."""
+    folders = (paths.data_dir() / "results").glob(f"*/*/{RECORD}")
+    found = [RunRecord.load(path) for path in sorted(folders)]
+    order = list(STUDIES), bodies.names(), list(METHODS)
+
+    def rank(record: RunRecord) -> tuple[Any, ...]:
+        keys = [record.config[name] for name in ("study", "body", "method")]
+        ranks = [o.index(k) if k in o else len(o) for o, k in zip(order, keys, strict=True)]
+        return *ranks, -record.training["n_steps"], record.config["seed"]
+
+    return sorted(found, key=rank)
+
+
+def learning_pack() -> bytes:
+    """Return the curves of all published runs that learned, and the T that each ended with."""
+    runs = []
+    for record in records():
+        config = record.config
+        if CURVE not in record.files:
+            continue
+        curve = files.read_csv(record.file(CURVE))
+        run = {name: config[name] for name in ("study", "body", "method", "seed")}
+        run |= {
+            "id": record.run_id,
+            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
+            f" {config['budget']['n_iterations']:,} iterations",
+            "colour": style.method(config["method"]).color,
+            "curve": {name: _plain(column) for name, column in curve.items()},
+        }
+        if TRANSFORM in record.files:
+            arrays = files.read_npz(record.file(TRANSFORM))
+            if arrays.keys() == {"A", "b"}:
+                run |= {name: _plain(array) for name, array in arrays.items()}
+        runs.append(run)
+    used = dict.fromkeys(run["body"] for run in runs if "A" in run)
+    data = {
+        "runs": runs,
+        "features": {body: feature_names(body) for body in used},
+        "studies": {name: STUDIES[name].about for name in STUDIES},
+    }
+    return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+
+
+# ---------------------------------------------------------------- under a figure
+
+
+def links(frame: pd.DataFrame) -> str:
+    """Return the line of links under a figure, and what its runs cost.
+
+    The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
+    """
+    name = frame.attrs.get("figure", f"{frame.attrs['study']}_runs")
+    data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
+    counted = frame["processor_time_s"].dropna()
+    hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"
+    if len(counted):
+        of = f" in the {len(counted)} runs that counted them" if len(counted) < len(frame) else ""
+        hours += f", {counted.sum() / 3600:.1f} processor hours{of}"
+    return (
+        f'<p class="silem-links" data-name="{name}">'
+        f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
+        ' <button type="button" class="silem-copy">copy the commands</button>'
+        f" <span>{hours}</span></p>"
+    )
+
+
+def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what a figure is drawn from: its runs, their curves, or the T that they learned."""
+    figure = frame.attrs.get("figure")
+    if figure == "learning_curves":
+        parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
+        return pd.concat(parts, ignore_index=True)
+    if figure in ("by_feature", "figure_4"):
+        parts = []
+        for run, body in zip(frame["run_id"], frame["body"], strict=True):
+            learned = results.load_transform(run)
+            named = {"run_id": run, "feature": feature_names(body)}
+            parts.append(pd.DataFrame(named | {name: learned[name] for name in ("A", "b")}))
+        return pd.concat(parts, ignore_index=True)
+    return frame.drop(columns=["returns", "folder"])
+
+
+# ---------------------------------------------------------------- all of them
+
+
+def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
+    """Write every pack into a folder, and what the pages must know of them into ``packs.js``."""
+    about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
+    packs = {f"body-{name}": body_pack(name) for name in BODIES}
+    packs |= {"learning": learning_pack()} | (physics(cache) or {})
+    for name, data in packs.items():
+        text = pack(name, data)
+        about["sizes"][name] = len(text)
+        files.write_text(folder / f"{name}.js", text)
+    if "mujoco.wasm" in packs:
+        licence = "mujoco-3*.dist-info/licenses/LICENSE"
+        (found,) = [p for p in distribution("mujoco").files or () if p.match(licence)]
+        files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
+    with Image.open(REPO / "book" / "_static" / "walking.webp") as film:
+        files.write_bytes(folder / "walking.png", encode_png(np.asarray(film.convert("RGB"))))
+    files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")
+
+
+def finish(html: Path) -> None:
+    """Tell the built pages which of their figures show the paper's numbers."""
+    pictures = sorted((html / "_images").glob("*.svg"))
+    mark = f'id="{style.WITHOUT_GHOSTS}"'
+    names = [path.name for path in pictures if mark in path.read_text()[:400]]
+    text = f"silem.withPaper = {json.dumps(names)};\n"
+    files.write_text(html / "_static" / "web" / "figures.js", text)
+
+
+def _version() -> str:
+    return distribution("mujoco").version

@@ -1,0 +1,67 @@
+"""What the pages "What this book cost" and "For reviewers" count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import synthetic_records as synthetic
+
+from silem.report import summary
+from silem.study.config import RunConfig
+from silem.study.studies import STUDIES, study_configs
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for cached in (summary.costs, summary.judged):
+        cached.cache_clear()
+    yield
+    for cached in (summary.costs, summary.judged):
+        cached.cache_clear()
+
+
+def test_costs_are_those_of_the_records_and_missing_runs_are_counted() -> None:
+    for seed in (0, 1):
+        synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=seed))
+    found = summary.costs()
+    assert len(found) == 2 and found["steps"].iloc[0] == pytest.approx(800 * 2048 / 1e6)
+    rows = {row[0]: row for row in summary.cost().rows}
+    n_planned = len(study_configs("halfcheetah", "book"))
+    assert rows["`halfcheetah`"][1:4] == ("2", str(n_planned - 2), "2")
+    assert rows["`humanoids`"][3] == "–"
+    assert set(rows) == {f"`{study}`" for study in STUDIES} | {"**all**"}
+
+
+def test_hours_left_are_the_missing_steps_at_the_speed_of_the_like() -> None:
+    synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=0))
+    hours = summary.costs()["hours"].iloc[0]
+    plans = summary.planned()
+    ppo = plans[(plans["study"] == "halfcheetah") & (plans["method"] == "ppo")]
+    assert summary.hours_left(ppo) == pytest.approx(hours * (len(ppo) - 1))
+    assert summary.hours_left(ppo.assign(hours=1.0)) == 0
+    walkers = plans[(plans["study"] == "humanoids") & (plans["method"] == "ppo")]
+    # nothing of the kind was made: the steps at the speed of all runs
+    per_step = hours / summary.costs()["steps"].iloc[0]
+    assert summary.hours_left(walkers) == pytest.approx(per_step * walkers["steps"].sum())
+
+
+def test_every_claim_is_in_the_reviewers_table() -> None:
+    judged = summary.judged()
+    text = "".join(cell for row in summary.verdicts().rows for cell in row)
+    assert text.count("undecided:**") == (judged["verdict"] == "undecided").sum() == len(judged)
+    assert summary.counts()["few"] == summary.counts()["undecided"] == str(len(judged))
+
+
+def test_every_demonstration_has_a_card_with_a_licence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SILEM_DATA_DIR")
+    cards = dict(summary.cards())
+    assert "HC0.npz" in cards and "cmu_08_01_on_Atlas.npz" in cards
+    for fields in cards.values():
+        assert dict(fields)["Licence"] and len(dict(fields)["SHA-256"]) > 16
+    assert "MIT" in dict(cards["HC0.npz"])["Licence"]
+    assert "free for all uses" in dict(cards["cmu_08_05.npz"])["Licence"]
+    assert isinstance(summary.costs(), pd.DataFrame)
