@@ -305,12 +305,16 @@ def status(
     rows = [[cell.config(budget, seed) for seed in seeds] for cell in shown]
     configs = [config for trial in zip(*rows, strict=True) for config in trial]
     states = {config.run_id: runs.state(config) for config in configs}
+    titles = [
+        name + "".join(f" {k}={v}" for k, v in (cell.overrides if name in several else ()))
+        for cell, name in zip(shown, names, strict=True)
+    ]
+    width = max(map(len, titles)) + 2
     lines = [f"{study}, budget {budget.name}, trials by seed:"]
-    lines.append(f"{'':34}" + "".join(f"{seed:<10}" for seed in seeds))
-    for cell, name, row in zip(shown, names, rows, strict=True):
-        settings = cell.overrides if name in several else ()
-        title = name + "".join(f" {setting}={value}" for setting, value in settings)
-        lines.append(f"{title:34}" + "".join(f"{states[c.run_id]:<10}" for c in row).rstrip())
+    lines.append((" " * width + "".join(f"{seed:<10}" for seed in seeds)).rstrip())
+    for title, row in zip(titles, rows, strict=True):
+        told = "".join(f"{states[config.run_id]:<10}" for config in row)
+        lines.append(f"{title:{width}}{told}".rstrip())
     at_work = [config for config in configs if states[config.run_id] == "running"]
     for config in at_work:
         lock = runs.run_folder(config) / runs.LOCK
