@@ -90,10 +90,10 @@ def _hours(runs: pd.DataFrame) -> str:
     without = runs[runs["processor_time_s"].isna()]
     hours = runs["processor_time_s"].sum() / 3600, without["wall_time_s"].sum() / 3600
     if len(without) == len(runs) > 0:
-        return f"{hours[1]:.0f} hours of wall time"
-    words = f"{hours[0]:.0f} hours of processor time"
+        return f"{hours[1]:.1f} hours of wall time"
+    words = f"{hours[0]:.1f} hours of processor time"
     if len(without):
-        words += f" and {hours[1]:.0f} hours of wall time where that was not counted"
+        words += f" and {hours[1]:.1f} hours of wall time where that was not counted"
         words += f" ({style.trials(len(without))})"
     return words
 

@@ -6,6 +6,7 @@ import getpass
 import os
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -258,7 +259,6 @@ def test_dask_works_through_a_study_and_its_workers_may_die(tmp_path: Path) -> N
     }
     config |= {"distributed.nanny.pre-spawn-environ.PYTHONPATH": str(paths.REPO)}
     import dask
-    import psutil
 
     with (
         dask.config.set(config),
@@ -280,7 +280,7 @@ def test_dask_works_through_a_study_and_its_workers_may_die(tmp_path: Path) -> N
                 lambda: [p for p in paths.runs_dir().rglob(runs.LOCK) if files.is_locked(p)],
             )
             victim = next(iter(cluster.workers.values())).pid
-            psutil.Process(victim).kill()
+            os.kill(victim, signal.SIGKILL)
             time.sleep(2)
         said, _ = submitted.communicate(timeout=300)
         assert submitted.returncode == 0, said
