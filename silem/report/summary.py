@@ -10,6 +10,7 @@ here, from the committed records and the demonstrations' manifest, when the book
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -70,7 +71,7 @@ def _plan(config: RunConfig) -> dict[str, Any]:
         "run_id": config.run_id,
         "study": config.study,
         "family": bodies.get(config.body).family,
-        "cell": f"{config.method} {config.body} {config.demonstrations} {budget.n_iterations}",
+        "cell": dataclasses.replace(config, seed=0).run_id,
         "method": config.method,
         "steps": budget.n_iterations * budget.steps_per_iteration / 1e6 if trains else 0.0,
     }
@@ -128,7 +129,7 @@ def cost_per_run() -> Table:
     """Return what one run of each method takes: steps, hours, steps a second."""
     rows = []
     trained = costs()[costs()["method"] != "random"]
-    for (family, method, steps), runs in trained.groupby(["family", "method", "steps"], sort=False):
+    for (family, method, steps), runs in trained.groupby(["family", "method", "steps"]):
         label, speed = style.method(str(method), "").label, runs["speed"].astype(float).mean()
         rows.append((str(family), label, number(float(steps), 1), f"{len(runs)}",
                      number(runs["hours"].mean(), 2), number(speed)))  # fmt: skip
