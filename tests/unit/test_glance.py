@@ -59,7 +59,7 @@ def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
 def test_the_box_counts_trainings_and_hours(made_up: Path) -> None:
     # 13 cells of HalfCheetah are trained, five times each, and one humanoid, 420 s each.
     assert "66 finished trainings" in (box := glance.box())
-    assert f"and {66 * 420 / 3600:.0f} hours of wall time, on" in box
+    assert f"and {66 * 420 / 3600:.1f} hours of wall time, on" in box
     assert "(1 to 5 in each cell" in box
     assert "](../book/figures/halfcheetah.svg)" in glance.box("../")
 
@@ -70,9 +70,9 @@ def test_hours_are_processor_time_where_it_was_counted(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     first, second = (RunConfig.create("HC0", "ppo", budget="book", seed=s) for s in (0, 1))
     synthetic.write_record(first, processor_time_s=3 * 3600.0)
-    assert "and 3 hours of processor time, on" in glance.box()  # no hours by the clock: 420 s
+    assert "and 3.0 hours of processor time, on" in glance.box()  # no hours by the clock: 420 s
     synthetic.write_record(second)
-    assert "3 hours of processor time and 0 hours of wall time where that was not counted" in (
+    assert "3.0 hours of processor time and 0.1 hours of wall time where that was not counted" in (
         box := glance.box()
     )
     assert "(one trial), on one processor core" in box

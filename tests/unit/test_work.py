@@ -224,7 +224,7 @@ def test_a_failure_is_reported_after_all_others_were_made(
     assert runs.state(bad) == "failed"
     assert main("status halfcheetah --budget tiny".split()) == 0
     told = capsys.readouterr().out
-    assert "silem HC0 from HC0                failed\n" in told
+    assert "silem HC0 from HC0            failed\n" in told
     assert f"failed: {bad.run_id}: " in told
     assert "HC0.npz" in told.splitlines()[-2]
 
@@ -245,9 +245,9 @@ def test_status_tells_who_works_where_and_how_long_the_rest_takes() -> None:
     with files.lock(runs.run_folder(configs[1]) / runs.LOCK):
         told = work.status("halfcheetah", BUDGETS["book"], 1).splitlines()
     assert told[2:5] == [
-        "ppo HC0                           finished",
-        "ppo HC1                           running",
-        "ppo HC2                           missing",
+        "ppo HC0                       finished",
+        "ppo HC1                       running",
+        "ppo HC2                       missing",
     ]
     (line,) = [line for line in told if line.startswith("at work: ")]
     assert f"{configs[1].run_id} 200/800, return 512 ({os.getpid()}@" in line
