@@ -443,7 +443,8 @@ def _render(options: argparse.Namespace) -> None:
     from silem.study.evaluate import load_policy
 
     learner, policy = record.run_config().learner, load_policy(record)
-    clip = film.rollout(learner, policy, duration_s=options.seconds, seed=options.seed)
+    shown = {"duration_s": options.seconds, "seed": options.seed, "progress": not options.quiet}
+    clip = film.rollout(learner, policy, **shown)
     film.write(options.out, clip)
     print(options.out)
 

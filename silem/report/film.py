@@ -75,10 +75,12 @@ def rollout(
     duration_s: float = 6.0,
     seed: int = 0,
     size: Size = SIZE,
+    progress: bool = True,
 ) -> Clip:
     """Film a policy, None for random actions, from the start of an episode, at most to its end.
 
     It acts stochastically, as in evaluation; the seed is that of the start and of its actions.
+    `progress` shows a bar.
 
     Raises:
         SilemError: The duration is not positive, or nothing can be drawn offscreen here.
@@ -96,7 +98,8 @@ def rollout(
         env.picture_size = size
         observations: Any = env.reset()
         frames: list[Any] = [env.render()]
-        for step in tqdm(range(1, n_steps + 1), desc=f"filming {found.name}", unit="step"):
+        steps = range(1, n_steps + 1)
+        for step in tqdm(steps, f"filming {found.name}", unit="step", disable=not progress):
             actions, _ = policy.predict(observations, deterministic=False)
             observations, _, dones, _ = env.step(actions)
             if dones[0]:  # the environment stands at its next start already

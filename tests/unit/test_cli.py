@@ -155,6 +155,18 @@ def test_a_published_policy_is_exported_and_acts_alike(
     assert not (tmp_path / "no.safetensors").exists()
 
 
+def test_a_quiet_film_says_its_file_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main("run --quiet --body HC0 --method random --budget tiny".split()) == 0
+    capfd.readouterr()
+    run_id, out = RunConfig.create("HC0", "random").run_id, tmp_path / "film.webp"
+    words = ["render", run_id, "--out", str(out), "--seconds", "0.1", "--quiet"]
+    assert main(words) == 0
+    assert capfd.readouterr() == (f"{out}\n", "")
+    assert out.stat().st_size > 0
+
+
 def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bodies"]) == 0
     lines = capsys.readouterr().out.splitlines()
