@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 
 LOCK, ATTEMPT, FAILED = "run.lock", "attempt.json", "failed.txt"
 STARTS = 5
-"""How often a run may be begun at the same checkpoint, each time killed, before it has failed."""
+"""How often a work loop begins a run at one checkpoint, each time killed, before it has failed.
+
+Whoever asks for the run itself may go on."""
 
 
 def run_folder(config: RunConfig) -> Path:
@@ -108,18 +110,18 @@ def forgive(config: RunConfig) -> None:
 
 
 @contextmanager
-def _attempt(folder: Path) -> Iterator[None]:
+def _attempt(folder: Path, most: float = math.inf) -> Iterator[None]:
     """Count how often a run was begun at its checkpoint; only ``kill -9`` leaves the count.
 
-    Raises SilemError: it was killed `STARTS` times there; next time the count begins anew.
+    Raises SilemError: it was killed `most` times there; next time the count begins anew.
     """
     path, checkpoint = folder / ATTEMPT, folder / CHECKPOINT
     reached = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
     before = files.read_json(path) if path.exists() else {}
     starts = before["starts"] + 1 if before.get("reached") == reached else 1
-    if starts > STARTS:
+    if starts > most:
         path.unlink()
-        raise SilemError(f"it was killed {STARTS} times without getting on")
+        raise SilemError(f"it was killed {most} times without getting on")
     files.write_json(path, {"starts": starts, "reached": reached})
     try:
         yield
@@ -159,7 +161,11 @@ def stop_with_input() -> None:
 
 
 def run(
-    config: RunConfig, progress: bool = True, force: bool = False, until: float = math.inf
+    config: RunConfig,
+    progress: bool = True,
+    force: bool = False,
+    until: float = math.inf,
+    starts: float = math.inf,
 ) -> RunRecord:
     """Return the finished run of a configuration: looked up, resumed, or made from the start.
 
@@ -172,11 +178,12 @@ def run(
         force: Throw the run's checkpoint away and make it anew, even if it is finished. A record
             that is already published stays until the new one replaces it.
         until: The `time.monotonic` after which no checkpoint can be reached any more.
+        starts: How often it may be begun at one checkpoint, and killed there.
 
     Raises:
-        SilemError: Another process works on this run (`silem.util.files.Held`); its checkpoint is
-            damaged or another run's; its demonstrations are missing, too few, or not those it was
-            made with.
+        SilemError: It was killed too often at one checkpoint; another process works on it
+            (`silem.util.files.Held`); its checkpoint is damaged or another run's; its
+            demonstrations are missing, too few, or not those it was made with.
         KeyboardInterrupt: On Ctrl-C or SIGTERM, or at a checkpoint when time is up; the message
             tells how to go on.
     """
@@ -195,7 +202,7 @@ def run(
         for name in (CHECKPOINT, RECORD, PROGRESS) if force else ():
             (folder / name).unlink(missing_ok=True)
         try:
-            return _make(config, folder, progress, until)
+            return _make(config, folder, progress, until, starts)
         except KeyboardInterrupt as interrupt:
             kept = "its checkpoint is kept" if (folder / CHECKPOINT).exists() else "no checkpoint"
             why = f"{interrupt}: " if str(interrupt) else ""
@@ -203,7 +210,7 @@ def run(
             raise KeyboardInterrupt(message) from None
 
 
-def _make(config: RunConfig, folder: Path, progress: bool, until: float) -> RunRecord:
+def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
@@ -221,7 +228,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float) -> RunR
     training: dict[str, Any] = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
     policy: Any
     names: list[str] = []
-    with _attempt(folder):
+    with _attempt(folder, most):
         if config.method == "random":
             policy = RandomPolicy(config.learner, config.seed, config.hyper.action_std)
         else:

@@ -141,7 +141,7 @@ def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
             (body, trial), name = expert_of(config.demonstrations), config.demonstrations
             record = demonstrate.demonstrator(body, config.budget.base_name, trial)
             demonstrate.demonstrate(record, name=name, progress=progress)
-        return runs.run(config, progress, until=until)
+        return runs.run(config, progress, until=until, starts=runs.STARTS)
     except files.Held:
         return None
     except Exception as error:  # whatever it is, the other runs go on

@@ -213,6 +213,13 @@ def test_a_run_fails_that_is_killed_again_and_again_without_getting_on() -> None
     assert runs.state(config) == "finished"
 
 
+def test_a_run_that_is_asked_for_by_itself_goes_on_however_often_it_was_killed() -> None:
+    config = RunConfig.create("HC0", "random")
+    for _ in range(2 * runs.STARTS):
+        killed(runs.run_folder(config))
+    assert runs.run(config, progress=False).run_id == config.run_id
+
+
 def test_a_failure_is_reported_after_all_others_were_made(
     data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
