@@ -29,7 +29,7 @@ def watching(folder: Path) -> dict[str, str]:
 
 def keep(notebook: Path, executed: Path, parameters: Mapping[str, Any], noted: Path) -> None:
     """Write down what a notebook read: what its processes noted in a folder."""
-    paths = {Path(path) for file in noted.glob("*.json") for path in json.loads(file.read_text())}
+    paths = {Path(path) for file in noted.glob("*.txt") for path in file.read_text().splitlines()}
     mine = {path for path in paths if _is_ours(path)}
     results = [data_dir() / "results"]
     mine |= {path.parents[1] for path in mine if list(path.parents[2:3]) == results}
