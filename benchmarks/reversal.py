@@ -26,6 +26,7 @@ from silem.algorithms.networks import (
     AffineTransform,
     Discriminator,
     ThirdPersonDiscriminator,
+    cross_entropy,
     discriminator_loss,
 )
 from silem.algorithms.windows import episode_windows
@@ -87,8 +88,7 @@ def trained(seed: int, worse: str, method: str, coef: float, depth: int) -> dict
             tau = f(o)
         loss, _ = discriminator_loss(d, e, tau, entropy_coef=1e-3, gradient_penalty=0.0)
         if method == "tpil":
-            expert_logits, learner_logits = d.domain_logits(e[:, -1]), d.domain_logits(o[:, -1])
-            loss = loss + F.softplus(-expert_logits).mean() + F.softplus(learner_logits).mean()
+            loss = loss + cross_entropy(d.domain_logits(e[:, -1]), d.domain_logits(o[:, -1]))
         disc.zero_grad()
         loss.backward()
         disc.step()

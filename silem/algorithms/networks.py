@@ -38,6 +38,14 @@ class Discriminator(nn.Module):
         return self.net(windows)[:, 0]
 
 
+def cross_entropy(logits_expert: th.Tensor, logits_learner: th.Tensor) -> th.Tensor:
+    """Return the loss of telling expert from learner by logits (B,) that are high for the expert.
+
+    Each side's mean counts as much as the other's (line 9 of Algorithm 1).
+    """
+    return F.softplus(-logits_expert).mean() + F.softplus(logits_learner).mean()
+
+
 def discriminator_loss(
     discriminator: nn.Module,
     expert_windows: th.Tensor,
@@ -63,8 +71,8 @@ def discriminator_loss(
     """
     logits_expert = discriminator(expert_windows)
     logits_learner = discriminator(learner_windows)
-    cross_entropy = F.softplus(-logits_expert).mean() + F.softplus(logits_learner).mean()
-    total = cross_entropy
+    told_apart = cross_entropy(logits_expert, logits_learner)
+    total = told_apart
     if entropy_coef:
         logits = th.cat([logits_expert, logits_learner])
         # entropy of a Bernoulli variable with these logits
@@ -76,7 +84,7 @@ def discriminator_loss(
         mixed = share * expert_windows + (1.0 - share) * learner_windows
         total = total + gradient_penalty * squared_gradient_norm(discriminator, mixed)
     return total, {
-        "disc_loss": cross_entropy.item(),
+        "disc_loss": told_apart.item(),
         "disc_acc_expert": (logits_expert > 0).float().mean().item(),
         "disc_acc_learner": (logits_learner < 0).float().mean().item(),
     }

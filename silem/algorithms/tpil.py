@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import torch as th
-from torch.nn import functional as F
 
 from silem.algorithms.gaifo import GAIfO
-from silem.algorithms.networks import ThirdPersonDiscriminator
+from silem.algorithms.networks import ThirdPersonDiscriminator, cross_entropy
 from silem.util.errors import WEIGHT, NumberKind
 
 
@@ -49,7 +48,7 @@ class TPIL(GAIfO):
         # a window's last state: over a pass every state reached counts once
         logits_expert = self.discriminator.domain_logits(expert_windows[:, -1])
         logits_learner = self.discriminator.domain_logits(learner_windows[:, -1])
-        domain_loss = F.softplus(-logits_expert).mean() + F.softplus(logits_learner).mean()
+        domain_loss = cross_entropy(logits_expert, logits_learner)
         right = th.cat([logits_expert > 0, logits_learner < 0])
         stats["domain_loss"] = domain_loss.item()
         stats["domain_acc"] = right.float().mean().item()
