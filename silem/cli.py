@@ -4,8 +4,6 @@ What a command needs beyond names and settings (PyTorch, the simulators, drawing
 so that ``silem status`` and ``silem --help`` answer at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import dataclasses

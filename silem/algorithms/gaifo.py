@@ -1,7 +1,5 @@
 """GAIfO on windows: adversarial imitation from observation, which is Algorithm 1 without T."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """What learns beside policy and value function: discriminators, transforms, observation moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

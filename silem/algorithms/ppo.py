@@ -1,7 +1,5 @@
 """PPO: stable-baselines3's class and interface, without autograd where the policy allows it."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 

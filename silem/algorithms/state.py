@@ -1,7 +1,5 @@
 """What learns, as named NumPy arrays and back; policies as files that hold numbers alone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

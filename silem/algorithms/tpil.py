@@ -1,7 +1,5 @@
 """TPIL, third-person imitation learning (Stadie et al., 2017), as the paper compares with it."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th

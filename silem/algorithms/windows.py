@@ -4,8 +4,6 @@ A window ends at the state a transition leads to, so its reward speaks of the ac
 first windows of an episode repeat its first state until there are enough states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Bodies of one's own are registered by modules that are named, or by installed packages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import importlib

@@ -31,8 +31,6 @@ limits, efforts and shapes are the published ones. What a simulation needs besid
 - **Welds.** `*_arm_wry2`, published with +-0.001 rad, has neither joint nor motor: 28 of 30 remain.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Bodies as their simulators have them: loaded into PyBullet, and measured in either."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path

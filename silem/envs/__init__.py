@@ -3,8 +3,6 @@
 The simulators, and PyTorch with stable-baselines3, are imported with the first class asked for.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -32,7 +30,7 @@ def __getattr__(name: str) -> Any:
 
 def make_vec(
     body: Body | str, n_envs: int = 4, seed: int = 0, max_steps: int | None = None, **options: Any
-) -> VecEnv:
+) -> "VecEnv":
     """Make E environments with the same body, stepped as one.
 
     Args:
@@ -55,7 +53,7 @@ def make_vec(
 
 def _batch_of_gymnasium(
     body: Body, n_envs: int, seed: int, max_steps: int | None, **options: Any
-) -> VecEnv:
+) -> "VecEnv":
     """Make E environments of a Gymnasium id: stable-baselines3's own batch, one after another."""
     import gymnasium
     from stable_baselines3.common.monitor import Monitor

@@ -4,8 +4,6 @@ A simulator is a module of this package with a `Simulation`: E bodies and the ta
 The rest is here: arguments, seeds, episodes and what is told of them, pictures, what is refused.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 import time

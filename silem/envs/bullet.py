@@ -6,8 +6,6 @@ What runs after every step is plain Python: at a few dozen numbers that is twice
 NumPy's calls, whose code the simulator has pushed out of the processor's caches.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import weakref

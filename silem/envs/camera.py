@@ -1,7 +1,5 @@
 """A camera that follows a body, whichever simulator moves it: MuJoCo draws it, offscreen."""
 
-from __future__ import annotations
-
 import atexit
 import math
 

@@ -4,8 +4,6 @@ The only change to dm_control's task is the speed that earns the full reward: th
 which the paper's reward asks to be matched (Figure 3b), in place of 1 m/s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ may differ as they do (line ends, blanks, remarks, case, order of sections), in 
 an error names file, line and bone.
 """
 
-from __future__ import annotations
-
 import codecs
 import hashlib
 import http.client

@@ -6,8 +6,6 @@ the floor and leaves the rest as captured. The way of a man with other legs is s
 model's, or its planted feet would slide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache

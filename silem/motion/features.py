@@ -4,8 +4,6 @@ The demonstrator and every learner have their own g, because their models name a
 parts differently; all compute the same quantities in the same order, from the same landmarks.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import mujoco

@@ -1,7 +1,5 @@
 """Sequences of poses (T, nq) of a model with a free root joint first, and the soles of its feet."""
 
-from __future__ import annotations
-
 import itertools
 
 import mink

@@ -7,8 +7,6 @@ keeping the forward motion instead would drag every planted foot over the floor.
 the middle of the hips by the ratio of the spines, the hands the shoulders by that of the arms.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -80,7 +78,7 @@ class Limbs(NamedTuple):
     hips: float  #: left hip to right hip
 
     @classmethod
-    def of(cls, points: np.ndarray) -> Limbs:
+    def of(cls, points: np.ndarray) -> "Limbs":
         """Measure the landmarks (..., P, 3) of one or more poses: of several, the 95 % quantile.
 
         Where a landmark lies beside its joint's axis a bent limb looks shorter than it is, and a

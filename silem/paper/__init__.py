@@ -4,8 +4,6 @@ Hyper-parameters, results and the claims that the scorecard checks come from her
 table or sentence it was printed in.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

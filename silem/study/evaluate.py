@@ -3,8 +3,6 @@
 Policies act stochastically, as in training and in the demonstrations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple, Protocol
 

@@ -1,7 +1,5 @@
 """What a finished run leaves: its record, where its code came from, and its learning curve."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import os
@@ -65,7 +63,7 @@ class RunRecord:
         return f"<RunRecord {self.run_id}: {told}>"
 
     @classmethod
-    def load(cls, path: Path) -> RunRecord:
+    def load(cls, path: Path) -> "RunRecord":
         """Read ``record.json``, or the one in a folder; raises SilemError if it is no record."""
         path = path / RECORD if path.is_dir() else path
         content = files.read_json(path)

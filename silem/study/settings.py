@@ -5,8 +5,6 @@ The paper's tables come first (`silem.paper`), then what it leaves open: per fam
 runs, `silem.settings`, ``silem show`` and the book's tables all read that.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections.abc import Mapping
@@ -209,7 +207,7 @@ class Budget:
         """Name of the budget that this one is, or that it has other iterations than."""
         return self.name.partition("-")[0]
 
-    def with_iterations(self, n_iterations: int) -> Budget:
+    def with_iterations(self, n_iterations: int) -> "Budget":
         """Return this budget with another number of iterations, and a name that says so."""
         return dataclasses.replace(
             self, name=f"{self.name}-{n_iterations}", n_iterations=n_iterations

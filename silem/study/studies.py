@@ -1,7 +1,5 @@
 """Studies: which runs the figures are made of."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

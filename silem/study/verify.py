@@ -1,7 +1,5 @@
 """Is a record what it says it is? What it holds is checked, and its policy is evaluated anew."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The one exception of this package, and the one way to check a name, a number or a file's name."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping

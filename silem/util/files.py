@@ -5,8 +5,6 @@ one step: a reader, or a process that starts after a crash, sees the old file or
 Whatever goes wrong with a file becomes a `SilemError` that names it.
 """
 
-from __future__ import annotations
-
 import csv
 import errno
 import fcntl
