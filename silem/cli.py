@@ -20,9 +20,9 @@ from silem import bodies
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import POLICY, RECORD, RunRecord
-from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
+from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, budget_named
 from silem.util import files, paths
-from silem.util.errors import SilemError, choose, clipped
+from silem.util.errors import LARGEST, SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
 """Exit codes; the last two are a shell's for SIGINT and SIGPIPE."""
@@ -37,7 +37,7 @@ examples:
   silem run --body HC2 --method silem --demonstrations HC0 --budget quick --seed 7
   silem run --body HC2 --method silem --set gradient_penalty=0 --set window=2
   silem work halfcheetah --budget book --trials 1 --workers 2
-  silem status halfcheetah --budget book
+  silem status --budget book
   silem render RUN_ID --out hc2.mp4
 
 A run that was stopped or killed goes on from its checkpoint when its command is given again.
@@ -164,9 +164,8 @@ _CELL = (
     _option("--study", help="default: the body's family"),
     _option("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter"),
 )  # fmt: skip
-_STUDIES = _option(
-    "studies", nargs="+", metavar="STUDY", help="a study, or a search STUDY/BODY/METHOD"
-)
+_STUDY = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
+_STUDIES = _option("studies", nargs="+", **_STUDY)
 _RUNS = (
     _option("--budget", default="book", help=f"{', '.join(BUDGETS)} (default: book)"),
     _ITERATIONS,
@@ -329,7 +328,7 @@ def _submit(options: argparse.Namespace) -> None:
     print(submit.submit(options.on, words, said))
 
 
-@_takes(_STUDIES, *_RUNS)
+@_takes(_option("studies", nargs="*", default=["halfcheetah"], **_STUDY), *_RUNS)
 def _status(options: argparse.Namespace) -> None:
     """What of studies is finished, failed or missing, and how a search ranks what is finished."""
     from silem.study import work

@@ -13,7 +13,7 @@ from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
 from silem.algorithms.windows import LearnerFeatures, absorbing_windows, episode_windows, marked
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, check_numbers, choose
+from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, choose
 
 REWARDS = {
     "d": th.sigmoid,  # D
@@ -163,7 +163,7 @@ class GAIfO(PPO):
         if not isinstance(self.disc_hidden, Sequence):
             raise SilemError(f"disc_hidden must be a list of layer sizes, not {self.disc_hidden!r}")
         for size in self.disc_hidden:
-            check_numbers({"each size in disc_hidden": size}, {"each size in disc_hidden": COUNT})
+            COUNT.check("each size in disc_hidden", size)
         rows = self.n_steps * self.n_envs
         for name in self._numbers:
             if name.endswith("_updates") and getattr(self, name) > rows:

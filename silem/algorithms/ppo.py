@@ -263,12 +263,10 @@ class PPO(SB3PPO):
         return [name for names in self._learns.values() for name in names], []
 
     def _check_numbers(self, values: dict[str, Any]) -> None:
-        numbers = {
-            name: value
-            for name, value in values.items()
-            if not callable(value) and not (value is None and name in self._optional)
-        }  # rates and ranges may be schedules
-        errors.check_numbers(numbers, self._numbers)
+        for name, kind in self._numbers.items():
+            value = values.get(name, 1)
+            if not (callable(value) or (value is None and name in self._optional)):
+                kind.check(name, value)  # rates and ranges may be schedules
 
     def _check_settings(self) -> None:
         """Check the arguments, whether the constructor or `load` put them in their places."""

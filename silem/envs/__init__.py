@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from silem import bodies
 from silem.bodies import Body
-from silem.util.errors import COUNT, SilemError, check_numbers
+from silem.util.errors import COUNT, SilemError
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
@@ -59,7 +59,7 @@ def _batch_of_gymnasium(
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
+    COUNT.check("n_envs", n_envs)
     limit = body.max_steps if max_steps is None else max_steps
     make = functools.partial(gymnasium.make, body.name, max_episode_steps=limit, **options)
     try:

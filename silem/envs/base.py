@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.camera import Camera
-from silem.util.errors import COUNT, SilemError, check_numbers, choose
+from silem.util.errors import COUNT, SilemError, choose
 
 RENDER_MODES = ("rgb_array",)
 SIMULATORS = ("bullet", "mujoco")
@@ -210,13 +210,13 @@ class BatchedEnv(_Filmed, VecEnv):
         Raises:
             SilemError: If an argument is not allowed.
         """
-        check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
+        COUNT.check("n_envs", n_envs)
         spaces = self._set_up(body, int(n_envs), render_mode, options)
         metadata = self.metadata
         super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.max_steps = self.body.max_steps if max_steps is None else max_steps
-        check_numbers({"max_steps": self.max_steps}, {"max_steps": COUNT})
+        COUNT.check("max_steps", self.max_steps)
         self._generators: list[np.random.Generator] = []
         self._lengths, self._returns = np.zeros(n_envs, dtype=int), np.zeros(n_envs)
         self._actions: np.ndarray | None = None

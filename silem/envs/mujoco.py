@@ -16,7 +16,7 @@ from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import base
 from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
-from silem.util.errors import COUNT, RATE, check_numbers
+from silem.util.errors import COUNT, RATE
 
 JOINT_NOISE_RAD = 0.02  # hinges start within +- this of the standing pose
 VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and rad/s
@@ -98,8 +98,8 @@ class Simulation(base.Simulation):
             SilemError: If an option is not allowed.
         """
         speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
-        options = {"n_threads": n_threads, "speed_m_s": speed_m_s}
-        check_numbers(options, {"n_threads": COUNT, "speed_m_s": RATE})
+        COUNT.check("n_threads", n_threads)
+        RATE.check("speed_m_s", speed_m_s)
         self.body, self._speed_m_s, self._starts = body, speed_m_s, starts
         size = 2 * body.action_size + len(_OBSERVED) + 3 + 6
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
