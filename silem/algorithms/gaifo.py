@@ -63,9 +63,8 @@ class GAIfO(PPO):
             one bool for each.
         **kwargs: Everything :class:`PPO` takes.
 
-    Raises:
-        SilemError: On unusable demonstrations or settings; in `learn`, on features of another
-            width than the demonstrations', or that not every environment supplies alike.
+    Raises SilemError on unusable demonstrations or settings; in `learn`, on features of another
+    width than the demonstrations', or that not every environment supplies alike.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = PPO._numbers | {
@@ -144,8 +143,7 @@ class GAIfO(PPO):
     def score_windows(self, windows: np.ndarray) -> np.ndarray:
         """Return D's judgement (B,), 1 for "expert", of learner windows (B, W, F) as they are now.
 
-        Raises:
-            SilemError: If the windows have another length or feature width than D's.
+        Raises SilemError if the windows have another length or feature width than D's.
         """
         wanted = (self.window, self.demonstrations.n_features)
         if windows.shape[1:] != wanted:

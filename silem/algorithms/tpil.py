@@ -22,8 +22,7 @@ class TPIL(GAIfO):
             encoder for the window discriminator alone.
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an empty ``disc_hidden``.
+    Raises SilemError as :class:`GAIfO`; an empty ``disc_hidden``.
     """
 
     discriminator: ThirdPersonDiscriminator

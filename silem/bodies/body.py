@@ -84,8 +84,7 @@ class Body:
     def variant(self, **parameters: float) -> "Body":
         """Return this body with other values of some of its parameters.
 
-        Raises:
-            SilemError: If it has no such parameter, or a value is not allowed.
+        Raises SilemError if it has no such parameter, or a value is not allowed.
         """
         for name in parameters:
             choose(f"parameter of body {self.name!r}", name, self.parameters)
@@ -218,9 +217,8 @@ def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[floa
         file: The file's name.
         edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
 
-    Raises:
-        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
-            attribute, or there is more than one.
+    Raises SilemError if the installed `pybullet_data` lacks the file, there is no such element or
+    attribute, or there is more than one.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")

@@ -43,8 +43,7 @@ def make_vec(
             the body's), and as `starts` states that episodes start from, positions (S, nq) and
             velocities (S, nv) (None means the standing pose, small noise).
 
-    Raises:
-        SilemError: If an argument is not allowed; the message says what is.
+    Raises SilemError if an argument is not allowed; the message says what is.
     """
     found = bodies.get(body) if isinstance(body, str) else body
     make = _batch_of_gymnasium if found.engine == "gymnasium" else __getattr__("BatchedEnv")

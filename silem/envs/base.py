@@ -136,10 +136,8 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
-        Pictures of `width` times `height` pixels need the render mode "rgb_array".
-
-        Raises:
-            SilemError: If an argument is not allowed.
+        Pictures of `width` times `height` pixels need the render mode "rgb_array". Raises
+        SilemError if an argument is not allowed.
         """
         self.observation_space, self.action_space = self._set_up(body, 1, render_mode, options)
         self.picture_size = width, height
@@ -165,8 +163,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             Observation (O,), float32, reward, whether the body has fallen, False, and an info:
             humanoids' with "skeletal_features" (F,), others' empty.
 
-        Raises:
-            SilemError: If the action has another shape or is not finite, or before `reset`.
+        Raises SilemError if the action has another shape or is not finite, or before `reset`.
         """
         action = self._check(action, (self.body.action_size,))
         (observation,), rewards, fallen, (info,) = self.simulation.step(action[None])
@@ -207,8 +204,7 @@ class BatchedEnv(_Filmed, VecEnv):
     ) -> None:
         """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None.
 
-        Raises:
-            SilemError: If an argument is not allowed.
+        Raises SilemError if an argument is not allowed.
         """
         COUNT.check("n_envs", n_envs)
         spaces = self._set_up(body, int(n_envs), render_mode, options)

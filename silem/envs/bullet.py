@@ -67,8 +67,7 @@ class Client:
         advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
             for one control step.
 
-    Raises:
-        SilemError: If PyBullet has no client left or cannot load the body.
+    Raises SilemError if PyBullet has no client left or cannot load the body.
     """
 
     def __init__(self, body: BulletBody) -> None:

@@ -94,8 +94,7 @@ class Simulation(base.Simulation):
     ) -> None:
         """Prepare the states; the options are those of `silem.envs.make_vec`.
 
-        Raises:
-            SilemError: If an option is not allowed.
+        Raises SilemError if an option is not allowed.
         """
         speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
         COUNT.check("n_threads", n_threads)

@@ -104,8 +104,7 @@ class Demonstrations:
     def load(cls, source: Path | str) -> "Demonstrations":
         """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
-        Raises:
-            SilemError: There is no such file, or it is none or damaged.
+        Raises SilemError: there is no such file, or it is none or damaged.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -194,8 +193,7 @@ def is_published(name: str) -> bool:
 def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
-    Raises:
-        SilemError: The file is missing, damaged, another body's, or not the manifest's.
+    Raises SilemError: the file is missing, damaged, another body's, or not the manifest's.
     """
     path = file_of(name)
     if path.exists() and not is_published(name):

@@ -61,8 +61,7 @@ class RunConfig:
             **overrides: Hyper-parameters, and parameters of the body, that replace the
                 supplement's best combination for this cell.
 
-        Raises:
-            SilemError: Anything unknown, out of range, or of no use to the method.
+        Raises SilemError: anything unknown, out of range, or of no use to the method.
         """
         learner = bodies.get(body)
         choose("method", method, METHODS)
