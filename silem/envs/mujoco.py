@@ -4,7 +4,6 @@ The only change to dm_control's task is the speed that earns the full reward: th
 which the paper's reward asks to be matched (Figure 3b), in place of 1 m/s.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import gymnasium
@@ -148,7 +147,7 @@ class Simulation(base.Simulation):
         return self._batch.get_data(index)
 
     def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+        self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
         states = [start_state(generator, self.body, self._starts) for generator in generators]
@@ -156,7 +155,7 @@ class Simulation(base.Simulation):
         self._start_xy[indices] = self.qpos[indices, :2]
         return _observed(self.read(indices))
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
+    def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
         actions = actions.clip(-1.0, 1.0)
         failed = self.advance(actions)
