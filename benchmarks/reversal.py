@@ -22,6 +22,7 @@ from torch import nn
 from torch.nn import functional as F
 from tqdm import tqdm
 
+from silem.algorithms.gaifo import episode_windows
 from silem.algorithms.networks import (
     AffineTransform,
     Discriminator,
@@ -29,7 +30,6 @@ from silem.algorithms.networks import (
     cross_entropy,
     discriminator_loss,
 )
-from silem.algorithms.windows import episode_windows
 from silem.util import files, paths
 
 COEFFICIENTS = (0.0, 0.3, 1.0, 1.6, 4.0)  # none, three of the supplement's grid, and more
