@@ -1,7 +1,5 @@
 """What learns beside policy and value function: discriminators, transforms, observation moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -116,10 +114,8 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first of the hidden layers is the encoder, the others are each head's.
-
-    Raises:
-        SilemError: If there is no hidden layer.
+    The first of the hidden layers is the encoder, the others are each head's. Raises SilemError if
+    there is no hidden layer.
     """
 
     def __init__(
@@ -186,11 +182,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
     """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
 
     Being part of the policy, the moments are saved, loaded and used by ``predict`` with it. They
-    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy
-    that collects a rollout is the policy that is updated on it.
-
-    Raises:
-        SilemError: If the observation space is not a flat Box.
+    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy that
+    collects a rollout is the policy that is updated on it. Raises SilemError if the observation
+    space is not a flat Box.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:

@@ -1,7 +1,5 @@
 """TPIL, third-person imitation learning (Stadie et al., 2017), as the paper compares with it."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th
@@ -24,8 +22,7 @@ class TPIL(GAIfO):
             encoder for the window discriminator alone.
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an empty ``disc_hidden``.
+    Raises SilemError as :class:`GAIfO`; an empty ``disc_hidden``.
     """
 
     discriminator: ThirdPersonDiscriminator

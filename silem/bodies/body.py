@@ -1,7 +1,5 @@
 """What a body is: data only. How to build it, what moves, what is measured."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -78,16 +76,15 @@ class Body:
     #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     #: returns the body for other values of its parameters
-    variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
+    variants: "Callable[..., Body] | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}: {self.description}>"
 
-    def variant(self, **parameters: float) -> Body:
+    def variant(self, **parameters: float) -> "Body":
         """Return this body with other values of some of its parameters.
 
-        Raises:
-            SilemError: If it has no such parameter, or a value is not allowed.
+        Raises SilemError if it has no such parameter, or a value is not allowed.
         """
         for name in parameters:
             choose(f"parameter of body {self.name!r}", name, self.parameters)
@@ -153,7 +150,7 @@ class Skeleton:
     axes: str = "xyz"  #: of the torso frame, those that point forward, left and up
 
     @classmethod
-    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> "Skeleton":
         """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
         sided = {
             f"{side}_{point}": prefix + name
@@ -220,9 +217,8 @@ def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[floa
         file: The file's name.
         edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
 
-    Raises:
-        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
-            attribute, or there is more than one.
+    Raises SilemError if the installed `pybullet_data` lacks the file, there is no such element or
+    attribute, or there is more than one.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")

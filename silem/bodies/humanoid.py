@@ -3,8 +3,6 @@
 HumanoidR has a long right and a short left arm. Atlas has a module of its own.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
@@ -92,7 +90,7 @@ def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
     )
 
 
-def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def placed(compiled: "mujoco.MjModel", qpos: np.ndarray) -> "mujoco.MjData":
     """Return a model's data in a pose."""
     import mujoco
 
@@ -102,7 +100,9 @@ def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     return data
 
 
-def common(compiled: mujoco.MjModel, skeleton: Skeleton, standing_head_m: float) -> dict[str, Any]:
+def common(
+    compiled: "mujoco.MjModel", skeleton: Skeleton, standing_head_m: float
+) -> dict[str, Any]:
     """Return what is the same for all humanoids, or found in the same way in their models."""
     across = math.cos(_ELEVATION_RAD)
     direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))

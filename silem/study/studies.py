@@ -1,7 +1,5 @@
 """Studies: which runs the figures are made of."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -236,10 +234,8 @@ def study_configs(
     """Return the runs of a study or search: the first trial of every cell before any second.
 
     Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
-    cells alone; `n_trials` None means as many as the budget and the study have.
-
-    Raises:
-        SilemError: An unknown study or budget, or more trials than there are fixed seeds.
+    cells alone; `n_trials` None means as many as the budget and the study have. Raises SilemError:
+    an unknown study or budget, or more trials than there are fixed seeds.
     """
     budget = budget_named(budget)
     kept, seeds = cells(study)[:sample], seeds_of(study, budget, n_trials)
