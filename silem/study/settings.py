@@ -100,6 +100,7 @@ class HyperParameters:
     transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-4)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", zero=True)
     gradient_penalty: float = _used_by(IMITATORS, 1.0, zero=True)  # 0 switches it off
+    transform_components: int = _used_by(("silem",), 1, optional=True)  # K; more are an ensemble
     # Of the humanoids alone; 0 where they do not apply.
     transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_d
     transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_b
