@@ -313,6 +313,6 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
-    if demonstrations not in bodies.names():
+    if not bodies.exists(demonstrations):
         path = demos.file_of(demonstrations)
         raise SilemError(f"{path} is not there or not whole; `silem mocap` makes it")

@@ -361,10 +361,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    runner, known = original in bodies.names(), bodies.names()
-    if wanted and runner and expert_of(wanted)[0] not in known and not file_of(wanted).exists():
+    if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
-        choose("demonstrations", expert_of(wanted)[0], known)
+        expert = expert_of(wanted)[0]
+        if not bodies.exists(expert):
+            choose("demonstrations", expert, bodies.names())
     if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original
