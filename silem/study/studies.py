@@ -46,6 +46,11 @@ class Study:
     seeds: tuple[int, ...]  # the trials' root seeds, fixed before any run was made
     about: str
 
+    @property
+    def made(self) -> set[tuple[str, str]]:
+        """Its methods and bodies."""
+        return {(cell.method, cell.body) for cell in self.cells}
+
 
 STUDIES: dict[str, Study] = {}
 SEARCH_SEEDS = (100, 101, 102, 103, 104)
@@ -140,6 +145,74 @@ _define(
     ("ppo", "HC0", None, (("clip_actions", False),)),
     ("ppo", "HC0", None, (("anneal_clip", True),)),
     seeds=TRIAL_SEEDS[:1],
+)
+
+# ---------------------------------------------------------------- beyond the paper
+
+# What a study plans here is what the paper's own studies lack: the pages read both. Bodies that a
+# name describes take HC0's settings, so that nothing but the length differs along a ladder.
+TORSOS = tuple(f"HC-{1 + i / 4:g}" for i in range(1, 9))
+"""HalfCheetahs with torsos of 1.25 to 3 m; that of 1 m is HC0."""
+SLOPES_DEG = (2.5, 5.0, 10.0, 15.0)
+
+
+def _ladder(bodies: tuple[str, ...], original: str, others: tuple[str, ...]) -> list[Any]:
+    """Return the cells of bodies that are new, with experts of their own, and TPIL's of others."""
+    return [
+        *(("ppo", body) for body in bodies),
+        *(("silem-minus-own", body, body) for body in bodies),
+        *((method, body, original) for body, method in product(bodies, (*_BOTH, "tpil"))),
+        *(("tpil", body, original) for body in others),
+    ]
+
+
+def _slopes(body: str) -> tuple[str, ...]:
+    return tuple(f"{body}-slope-{degrees:g}" for degrees in SLOPES_DEG)
+
+
+_define(
+    "ladder",
+    "HalfCheetah's torso from 1 to 3 m in steps of 0.25 m: where does each method break?",
+    *_ladder(TORSOS, "HC0", ("HC0",)),
+    seeds=TRIAL_SEEDS[:2],
+)
+_define(
+    "ladder-ant",
+    "Ant's links beyond the paper's, to 0.6",
+    *_ladder(("Ant-0.55", "Ant-0.6"), "Ant0", _ANTS),
+    seeds=TRIAL_SEEDS[:2],
+)
+_define(
+    "slope",
+    "the conjecture: demonstrations on flat ground, learners that run uphill",
+    *(
+        (method, body, original)
+        for original in ("HC0", "Ant0")
+        for body, method in product(_slopes(original), _BOTH)
+    ),
+    seeds=TRIAL_SEEDS[:3],
+)
+_define(
+    "slope-humanoid",
+    "the conjecture, as the paper words it: a human walks on flat ground, a humanoid uphill",
+    *((m, b, None, _LARGER_STEPS) for b, m in product(_slopes("Humanoid"), _BOTH)),
+    seeds=TRIAL_SEEDS[:1],
+)
+_define(
+    "ensembles",
+    "K affine transforms behind a gate, where the MLP fooled D, and where one map is least enough",
+    *(
+        ("silem", body, original, (("transform_components", count),))
+        for body, original in (("HC0", "HC0"), ("HC2", "HC0"), ("Ant6", "Ant0"))
+        for count in (2, 4, 8)
+    ),
+    seeds=TRIAL_SEEDS[:3],
+)
+_define(
+    "arm-lengths",
+    "one policy for a humanoid whose right arm has another length in each environment",
+    ("silem", "Humanoid-arm-0.5-1.5", None, _LARGER_STEPS),
+    seeds=TRIAL_SEEDS[:2],
 )
 
 # The search of the settings that the paper leaves open, in stages: each stage starts from what the

@@ -128,8 +128,13 @@ def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
     if TRANSFORM in record.files:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
-        if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
-            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
+        size, count = shapes.get("A", ()), config.hyper.transform_components
+        wanted_shapes = {"A": size, "b": size}
+        if count > 1:  # an ensemble, of which A and b are the means
+            several = dict.fromkeys(("scale", "offset", "gate.weight"), (count, *size))
+            wanted_shapes |= several | dict.fromkeys(("gate.bias", "shares"), (count,))
+        if shapes != wanted_shapes or len(size) != 1:
+            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each, {count} map(s)"
         if not all(np.isfinite(array).all() for array in arrays.values()):
             yield f"{TRANSFORM} holds NaN or infinity"
 
