@@ -80,9 +80,7 @@ def trained(seed: int, worse: str, method: str, coef: float, depth: int) -> dict
     n_features = learner.shape[-1]
     f: nn.Module = AffineTransform(n_features) if method == "silem" else nn.Identity()
     if method == "tpil":
-        d: Any = ThirdPersonDiscriminator(n_features, WINDOW, HIDDEN, coef)
-        for _ in range(depth - 1):
-            d.encoder.extend([nn.Linear(HIDDEN[0], HIDDEN[0]), nn.Tanh()])
+        d: Any = ThirdPersonDiscriminator(n_features, WINDOW, HIDDEN, coef, depth)
     else:
         d = Discriminator(n_features, WINDOW, HIDDEN)
     disc = th.optim.Adam(d.parameters(), RATE)

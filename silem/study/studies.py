@@ -143,9 +143,11 @@ _OF_D: tuple[Settings, ...] = (
     (), *((("gradient_penalty", weight),) for weight in (0.0, 0.01, 1.0)),
     *((("disc_learning_rate", rate),) for rate in (3e-4, 3e-3)),
 )  # fmt: skip
+_DEEPER = ("encoder_layers", 2)
 _OF_RIVALS = {
     "silem-minus": (*_OF_D, (("n_disc_updates", 2),), (("starts", "demonstration"),)),
-    "tpil": (*_OF_D, (("gradient_reversal_coef", 0.1),), (("gradient_reversal_coef", 1.6),)),
+    # with one layer the reversal achieves nothing at any C_g (benchmarks/reversal.py)
+    "tpil": (*_OF_D, (_DEEPER,), (_DEEPER, ("gradient_reversal_coef", 1.6))),
     "peng20": (*_OF_D, (("n_disc_updates", 2),), (("starts", "demonstration"),)),
 }
 _define(
