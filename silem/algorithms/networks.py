@@ -114,12 +114,17 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first of the hidden layers is the encoder, the others are each head's. Raises SilemError if
-    there is no hidden layer.
+    The first of the hidden layers is the encoder's, of which it has `encoder_layers`, the others are
+    each head's. Raises SilemError if there is no hidden layer.
     """
 
     def __init__(
-        self, n_features: int, window: int, hidden: Sequence[int], reversal_coef: float
+        self,
+        n_features: int,
+        window: int,
+        hidden: Sequence[int],
+        reversal_coef: float,
+        encoder_layers: int = 1,
     ) -> None:
         super().__init__()
         if not hidden:
@@ -128,6 +133,8 @@ class ThirdPersonDiscriminator(nn.Module):
         self.encoder = nn.Sequential(nn.Linear(n_features, hidden[0]), nn.Tanh())
         self.window_head = nn.Sequential(*_tanh_mlp(window * hidden[0], hidden[1:]))
         self.domain_head = nn.Sequential(*_tanh_mlp(hidden[0], hidden[1:]))
+        for _ in range(encoder_layers - 1):
+            self.encoder.extend([nn.Linear(hidden[0], hidden[0]), nn.Tanh()])
 
     def forward(self, windows: th.Tensor) -> th.Tensor:
         """Return ``disc_logits_expert_is_high`` (B,) of windows (B, W, F)."""

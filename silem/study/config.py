@@ -145,10 +145,15 @@ class RunConfig:
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body."""
+        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body.
+
+        One that is back at its default, where the cell has another, is in use too.
+        """
+        own = {n: value for n, (value, source) in self.settings().items() if source == "this run"}
+        used = self.hyper.of_method(self.method)
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
-            for name, value in self.hyper.of_method(self.method).items()
+            for name, value in (used | {n: own[n] for n in vars(self.hyper) if n in own}).items()
         }
         body = bodies.identity(self.body)
         return {

@@ -107,6 +107,7 @@ class HyperParameters:
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0, kind=WEIGHT)  # C_g
+    encoder_layers: int = _used_by(("tpil",), 1, optional=True)
     # What episodes of a humanoid start from: the standing pose with small noise, or states of the
     # demonstration retargeted to the learner's body, which the paper argues against needing.
     starts: str = _used_by(
