@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import mean
 from typing import Any, NoReturn
 
 import silem
@@ -165,6 +166,8 @@ def parser() -> argparse.ArgumentParser:
     add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
     add_runs(add, only=False)
     add_loop(add)
+    fresh = "when it is finished: its best, and the supplement's, on seeds that it has not used"
+    add("--winner", action="store_true", help=fresh)
 
     add = command(_submit)
     add("studies", nargs="+", **several)
@@ -322,6 +325,8 @@ def _configs(options: argparse.Namespace) -> list[RunConfig]:
     """Return the runs of all studies asked for, one study after the other."""
     only = {name: getattr(options, name, None) for name in ("body", "method")}
     budget, trials, sample = budget_of(options), options.trials, options.sample
+    if getattr(options, "winner", False):
+        return studies.fresh_configs(options.studies[0], budget, trials, sample)
     return [
         config
         for study in options.studies
@@ -331,7 +336,8 @@ def _configs(options: argparse.Namespace) -> list[RunConfig]:
 
 def _words(options: argparse.Namespace) -> list[str]:
     """Return the command line of a loop that does what these options ask for."""
-    words = ["work", *options.studies]
+    winner = ["--winner"] if getattr(options, "winner", False) else []
+    words = ["search" if winner else "work", *options.studies, *winner]
     for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
         if (said := getattr(options, name, None)) is not None:
             words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
@@ -382,11 +388,13 @@ def _search(options: argparse.Namespace) -> None:
     if "/" not in options.studies[0]:
         raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(options.studies[0])}")
     _work(options)
-    found = studies.ranking(options.studies[0], budget_of(options), options.trials)
+    cell, budget = options.studies[0], budget_of(options)
+    found = studies.ranking(cell, budget, options.trials, options.sample)
     for place, entry in enumerate(found, 1):
         said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
         mark = "  (the supplement's best)" if entry.is_papers else ""
-        print(f"{place:4} {entry.score:8.0f}  {said}{mark}")
+        fresh = f"  (on fresh seeds: {mean(entry.fresh):.0f})" if entry.fresh else ""
+        print(f"{place:4} {entry.score:8.0f}  {said}{mark}{fresh}")
 
 
 def _status(options: argparse.Namespace) -> None:
