@@ -33,9 +33,9 @@ from silem.util.errors import SilemError, choose
 _KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ["return_mean", "speed_m_s", "upright"]
 COLUMNS = [
-    *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations", "planned_iterations",
-    "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns",
-    "folder", "expert_return", "normalised",
+    *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations",
+    "planned_iterations", "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit",
+    "dirty", "returns", "folder", "expert_return", "normalised",
 ]  # fmt: skip
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
@@ -46,7 +46,7 @@ _WITHOUT_D = ("ppo", "random")
 
 
 def load_records(
-    study: str = "halfcheetah", budget: str = "book", n_iterations: int = 0, **which: int
+    study: str = "halfcheetah", budget: str = "book", n_iterations: int = 0, **which: Any
 ) -> pd.DataFrame:
     """Load a study's finished runs at one budget, one row per run; SilemError for a broken record.
 
@@ -61,8 +61,8 @@ def load_records(
         `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
         ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
         experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` and ``steps``
-        (NaN where a record does not say) are of an episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
-        dicts) and ``set_aside`` (run ids).
+        (NaN where a record does not say) are of an episode. ``attrs`` holds ``study``, ``budget``,
+        ``missing`` (what was planned, a list of dicts) and ``set_aside`` (run ids).
     """
     choose("budget", budget, BUDGETS)
     sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]

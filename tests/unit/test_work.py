@@ -116,7 +116,7 @@ def test_a_searchs_winner_is_run_again_on_seeds_that_have_not_chosen_it() -> Non
     search, budget = "halfcheetah/HC2/silem-minus", "quick"
     configs = study_configs(search, budget, 2, 3)
     for config, value in zip(configs, [100, 500, 300, 900, 700, 200], strict=True):
-        with pytest.raises(SilemError, match="the winner of .* is not known yet: "):
+        with pytest.raises(SilemError, match=r"the winner of .* is not known yet: "):
             fresh_configs(search, budget, 2, 3)
         synthetic.write_record(config, value)
     fresh = fresh_configs(search, budget, 2, 3)  # the second has the highest mean
