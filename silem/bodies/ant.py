@@ -61,4 +61,7 @@ def body(name: str, offset: float) -> BulletBody:
     )
 
 
+NAMED = {"Ant-#": body}
+"""Bodies that are named by a number in the place of #: this one by its links' offset in m."""
+
 BODIES = {name: partial(body, name, offset) for name, offset in LINK_OFFSETS.items()}

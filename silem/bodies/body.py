@@ -1,5 +1,6 @@
 """What a body is: data only. How to build it, what moves, what is measured."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -73,6 +74,8 @@ class Body:
     view: View  #: how it is looked at
     control_step_s: float
     max_steps: int = MAX_STEPS  #: control steps after which an episode is cut off
+    #: of the floor, which rises along x; the floor stays the world's plane, and gravity is tilted
+    slope_deg: float = 0.0
     #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     #: returns the body for other values of its parameters
@@ -97,6 +100,17 @@ class Body:
         return self.build()
 
     @property
+    def up(self) -> tuple[float, float, float]:
+        """The direction against gravity, (x, y, z) in the floor's frame."""
+        slope = math.radians(self.slope_deg)
+        return math.sin(slope), 0.0, math.cos(slope)
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode can end before its last step."""
+        return True
+
+    @property
     def action_size(self) -> int:
         """Number of motors."""
         return len(self.motors)
@@ -118,6 +132,11 @@ class BulletBody(Body):
     parts: tuple[Part, ...]  #: the points in the mean, the root first
     n_parts: int  #: number of parts in the mean
     alive: AliveRule
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode ends when the body is no longer upright."""
+        return self.alive.terminates
 
     @property
     def observation_size(self) -> int:
@@ -177,6 +196,10 @@ class MujocoBody(Body):
     standing_head_m: float  #: height of the head from which the reward counts it as standing
     fall_head_m: float  #: height of the head below which an episode ends
     target_speed_m_s: float  #: of the centre of mass, what earns the full reward
+    #: returns the bodies of E environments, where each has one of its own in this one's place
+    each: Callable[[int], Sequence["MujocoBody"]] | None = field(
+        default=None, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -56,6 +56,9 @@ def body(name: str, torso_length_m: float) -> BulletBody:
     )
 
 
+NAMED = {"HC-#": body}
+"""Bodies that are named by a number in the place of #: this one by the length of its torso in m."""
+
 BODIES = {name: partial(body, name, length) for name, length in TORSO_LENGTHS_M.items()}
 
 

@@ -6,6 +6,7 @@ HumanoidR has a long right and a short left arm. Atlas has a module of its own.
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -88,6 +89,32 @@ def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
         fall_head_m=FALL_HEAD_M,
         **common(compiled, SKELETON, STANDING_HEAD_M),
     )
+
+
+def one_arm(name: str, factor: float) -> MujocoBody:
+    """Return a humanoid whose right arm is so many times as long."""
+    about = f"Humanoid with its right arm {factor:g} times as long"
+    return body(name, about, UNSCALED | {"right": factor})
+
+
+def arms(name: str, low: float, high: float) -> MujocoBody:
+    """Return a humanoid whose right arm has another length in each of E environments.
+
+    The factors are the middles of E equal parts of the range: of a single environment, its middle.
+    """
+    if not 0 < low < high:
+        raise SilemError(f"{name}: the arm's factors go from {low:g} up to {high:g}")
+
+    def each(n: int) -> list[MujocoBody]:
+        factors = [low + (i + 0.5) * (high - low) / n for i in range(n)]
+        return [one_arm(f"{name}-{factor:.4g}", factor) for factor in factors]
+
+    about = f"Humanoid with its right arm {low:g} to {high:g} times as long, by environment"
+    return replace(one_arm(name, (low + high) / 2), description=about, each=each)
+
+
+NAMED = {"Humanoid-arm-#": one_arm, "Humanoid-arm-#-#": arms}
+"""Bodies that are named by numbers in the place of #: factors on the right arm."""
 
 
 def placed(compiled: "mujoco.MjModel", qpos: np.ndarray) -> "mujoco.MjData":

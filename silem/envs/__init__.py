@@ -40,8 +40,9 @@ def make_vec(
         max_steps: Steps after which an episode is cut off; None means the body's.
         **options: A Gymnasium environment's own, or a humanoid's: `n_threads` that step it
             (results do not depend on them), `speed_m_s` that earns the full reward (None means
-            the body's), and as `starts` states that episodes start from, positions (S, nq) and
-            velocities (S, nv) (None means the standing pose, small noise).
+            the body's), as `starts` states that episodes start from, positions (S, nq) and
+            velocities (S, nv) (None means the standing pose, small noise), and as `bodies` E
+            humanoids of other lengths, one for each environment in the place of `body`.
 
     Raises SilemError if an argument is not allowed; the message says what is.
     """

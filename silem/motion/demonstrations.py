@@ -198,7 +198,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
         )
     there = Demonstrations.load(name)
     about = manifest().get(path.stem, {"body": there.body})
-    if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
+    if there.body != about.get("body") or (bodies.exists(path.stem) and there.body != path.stem):
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)
 

@@ -83,7 +83,10 @@ class Landmarks:
 
 
 def skeletal_features(
-    points: np.ndarray, torso_axes: np.ndarray, com_velocity: np.ndarray
+    points: np.ndarray,
+    torso_axes: np.ndarray,
+    com_velocity: np.ndarray,
+    up: tuple[float, float, float] | None = None,
 ) -> np.ndarray:
     """Compute g(s), (..., F), float32, from what a body's own g read off its state.
 
@@ -91,6 +94,7 @@ def skeletal_features(
         points: Landmarks in the world in m, (..., P, 3), in the order of `POINTS`.
         torso_axes: Forward, left and up of the torso in the world, as rows, (..., 3, 3).
         com_velocity: Velocity of the whole body's centre of mass in the world in m/s, (..., 3).
+        up: The vertical in the world; None is z.
     """
     rows = torso_axes.swapaxes(-1, -2)
     vectors = points.take(_ENDS, -2) - points.take(_STARTS, -2)
@@ -99,7 +103,7 @@ def skeletal_features(
         (offsets @ rows).reshape(*offsets.shape[:-2], 12),
         _angles(vectors[..., 4:, :]),
         points[..., _HEAD, 2:],
-        torso_axes[..., 2],
+        torso_axes[..., 2] if up is None else torso_axes @ np.array(up),
         (com_velocity[..., None, :] @ rows)[..., 0, :],
     )
     return np.concatenate(parts, axis=-1, dtype=np.float32)

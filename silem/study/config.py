@@ -21,6 +21,9 @@ from silem.util.errors import SilemError, check_name, choose, reason
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
 
+SEARCH = "search-"
+"""How the folder of a search's runs begins."""
+
 MAX_RUN_ID = 240
 """Characters of a run's id, which is a folder's name: file systems take 255."""
 
@@ -128,6 +131,12 @@ class RunConfig:
         return f"{self.method}_{self.body}{source}_{self.budget.name}_s{self.seed}_{digest}"
 
     @property
+    def is_published(self) -> bool:
+        """Whether its record goes to the committed results: evidence, and what searches rank."""
+        searches = self.study.startswith(SEARCH) and self.budget.base_name == "quick"
+        return self.budget.is_evidence or searches
+
+    @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
         budget, _, iterations = self.budget.name.partition("-")
@@ -145,10 +154,15 @@ class RunConfig:
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body."""
+        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body.
+
+        One that is back at its default, where the cell has another, is in use too.
+        """
+        own = {n: value for n, (value, source) in self.settings().items() if source == "this run"}
+        used = self.hyper.of_method(self.method)
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
-            for name, value in self.hyper.of_method(self.method).items()
+            for name, value in (used | {n: own[n] for n in vars(self.hyper) if n in own}).items()
         }
         body = bodies.identity(self.body)
         return {

@@ -97,6 +97,9 @@ class HyperParameters:
     transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-4)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", kind=WEIGHT)
     gradient_penalty: float = _used_by(IMITATORS, 1.0, kind=WEIGHT)  # 0 switches it off
+    transform_components: int = _used_by(  # K; more than one are an ensemble
+        ("silem",), 1, optional=True
+    )
     # Of the humanoids alone; 0 where they do not apply.
     transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_d
     transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_b
@@ -104,6 +107,7 @@ class HyperParameters:
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
     gradient_reversal_coef: float = _used_by(("tpil",), 1.0, kind=WEIGHT)  # C_g
+    encoder_layers: int = _used_by(("tpil",), 1, optional=True)
     # What episodes of a humanoid start from: the standing pose with small noise, or states of the
     # demonstration retargeted to the learner's body, which the paper argues against needing.
     starts: str = _used_by(
@@ -342,10 +346,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    runner, known = original in bodies.names(), bodies.names()
-    if wanted and runner and expert_of(wanted)[0] not in known and not file_of(wanted).exists():
+    if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
-        choose("demonstrations", expert_of(wanted)[0], known)
+        expert = expert_of(wanted)[0]
+        if not bodies.exists(expert):
+            choose("demonstrations", expert, bodies.names())
     if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original

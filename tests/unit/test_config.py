@@ -141,6 +141,14 @@ def test_configurations_survive_json_and_the_command_line(method: str) -> None:
     assert config_of(parser().parse_args(words)) == config
 
 
+def test_what_is_set_back_to_its_default_stays_so() -> None:
+    """The supplement gives SILEM on Humanoid an L2 term; a run without it is another run."""
+    usual = create("Humanoid", "silem")
+    without = create("Humanoid", "silem", transform_l2_scale=0.0, log_std_init=0.0)
+    assert usual.hyper.transform_l2_scale > 0 and without.run_id != usual.run_id
+    assert RunConfig.from_dict(without.to_dict()) == without
+
+
 def test_a_damaged_configuration_is_refused() -> None:
     content = create("HC1", "silem").to_dict()
     for bad in (
