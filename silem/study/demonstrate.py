@@ -25,7 +25,8 @@ def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[R
 
     Those of its family's study; of a body that its name describes, of the first that plans them.
     """
-    study, seeds = None, TRIAL_SEEDS
+    study: str | None = None
+    seeds: tuple[int, ...] = TRIAL_SEEDS
     if body not in bodies.names():
         plans = [name for name, known in STUDIES.items() if ("ppo", body) in known.made]
         study, seeds = (plans[0], STUDIES[plans[0]].seeds) if plans else (study, seeds)
