@@ -401,8 +401,7 @@ class LearnerFeatures:
             features = np.array(rows)
         except ValueError as error:  # of several lengths
             raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
-        if features.dtype.kind not in "fiu":
-            kind = features.dtype
+        if (kind := features.dtype).kind not in "fiu":
             raise SilemError(
                 f"the learner's skeletal features are no vectors of numbers but {kind}"
             )
