@@ -118,8 +118,7 @@ def poses(motion: Motion) -> Figure:
         x, y = seen[state, POINTS.index("head")]
         label = f"{state / motion.rate_hz:.2f} s"
         axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
-    figure.legend(handles=handles("side"), loc="outside upper left", ncols=2)
-    return figure
+    return style.finish(figure, handles("side"), ncols=2)
 
 
 @style.applied()
@@ -149,8 +148,7 @@ def features(motion: Motion) -> Figure:
         Patch(color=color, alpha=0.25, lw=0, label=f"{side} foot stands")
         for side, color in SIDE_COLORS.items()
     ]
-    figure.legend(handles=[*lines, *spans], loc="outside upper left", ncols=5)
-    return figure
+    return style.finish(figure, [*lines, *spans], ncols=5)
 
 
 def _stances(motion: Motion) -> Iterator[tuple[str, float, float]]:

@@ -220,8 +220,7 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
         axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
     grid[0][0].set_ylabel("pitch (rad), nose down")
     note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
-    style.footer(figure, f"{note}; ●: the demonstrator")
-    return figure
+    return style.finish(figure, note=f"{note}; ●: the demonstrator")
 
 
 @style.applied()
@@ -267,13 +266,11 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
     label = "its nose touches the floor"
     handles.append(style.handle(style.WARNING, label, lw=1.2, ls=style.DASHED))
-    figure.legend(handles=handles, loc="outside upper left", ncols=4)
     note = (
         "below: the demonstrator's mean pitch, and how many of its joints are at a limit; the nose"
         " touches with the back foot on the floor, its leg at rest (line) to stretched (band)"
     )
-    scores.footer(figure, frame, note)
-    return figure
+    return scores.finish(figure, frame, handles, note, ncols=4)
 
 
 def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity: str) -> None:

@@ -81,8 +81,7 @@ def poses(human: Motion, result: IKResult) -> Figure:
             ring = Circle(place, TOLERANCE_M, fill=False, ec=color, lw=1.2, zorder=5)
             grid[1].add_patch(ring)
     grid[1].set_xlabel("x, forward (m)")
-    figure.legend(handles=demonstration.handles("side"), loc="outside upper left", ncols=2)
-    return figure
+    return style.finish(figure, demonstration.handles("side"), ncols=2)
 
 
 @style.applied()
@@ -102,8 +101,7 @@ def residuals(results: Sequence[IKResult]) -> Figure:
     lines = [style.handle(color, label, lw=1.8) for label, (color, _) in _LINES.items()]
     label = f"tolerance, {1000 * TOLERANCE_M:.0f} mm"
     lines.append(style.handle(style.MUTED, label, lw=1.2, ls=style.DASHED))
-    figure.legend(handles=lines, loc="outside upper left", ncols=5, columnspacing=1.2)
-    return figure
+    return style.finish(figure, lines, ncols=5)
 
 
 @style.applied()
@@ -119,8 +117,7 @@ def joint_limits(results: Sequence[IKResult]) -> Figure:
         axes.set(title=result.body, xlabel="frames (%)")
         axes.grid(axis="x")
         axes.grid(visible=False, axis="y")
-    figure.legend(handles=demonstration.handles("side"), loc="outside upper left", ncols=2)
-    return figure
+    return style.finish(figure, demonstration.handles("side"), ncols=2)
 
 
 @style.applied()
@@ -140,8 +137,7 @@ def foot_skate(human: Motion, results: Sequence[IKResult]) -> Figure:
     handles = demonstration.handles("foot")
     handles.append(style.handle(style.MUTED, "on the learner", lw=1.4))
     handles.append(style.handle(style.MUTED, "the man's own", lw=4, alpha=0.4))
-    figure.legend(handles=handles, loc="outside upper left", ncols=4)
-    return figure
+    return style.finish(figure, handles, ncols=4)
 
 
 def limb_ratios(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
