@@ -153,8 +153,14 @@ def _gait(return_mean: float, walks: bool) -> dict[str, float]:
 
 def _cheetah_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A transform that strays from the identity with the length of the torso."""
-    spread, n = int(config.body[-1]), N_FEATURES["halfcheetah"]
-    return {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
+    spread, body = int(config.body[-1]), bodies.get(config.body)
+    n = body.observation_size  # N_FEATURES of a HalfCheetah
+    arrays = {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
+    count = config.hyper.transform_components
+    if count > 1:  # an ensemble's maps and gate, which no figure reads
+        maps = dict.fromkeys(("scale", "offset", "gate.weight"), np.ones((count, n)))
+        arrays |= maps | dict.fromkeys(("gate.bias", "shares"), np.ones(count))
+    return arrays
 
 
 def _humanoid_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -176,7 +182,7 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
     walks = bodies.get(config.body).family == "humanoid"
     n = config.budget.n_iterations
     share = 1 - np.exp(-5 * np.arange(1, n + 1) / n)
-    start = RANDOM_RETURNS[config.body]
+    start = RANDOM_RETURNS.get(config.body, -1500.0)
     returns = start + share * (return_mean - start) + 60 * rng.normal(size=n)
     rows = []
     for i in range(n):
