@@ -9,6 +9,7 @@ as missing and runs of other settings as set aside; neither is passed over in si
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import chain
@@ -126,11 +127,14 @@ def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
     return None
 
 
+def _keys(config: RunConfig) -> dict[str, Any]:
+    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
+
+
 def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
     evaluation, source = record.evaluation, record.provenance
-    return {
+    return _keys(config) | {
         "plan": plan.run_id,
-        **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
         "disc_reward": evaluation["disc_reward_mean"],
         "n_iterations": config.budget.n_iterations,
@@ -144,10 +148,6 @@ def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any
         "returns": tuple(evaluation["returns"]),
         "folder": str(record.folder),
     }
-
-
-def _keys(config: RunConfig) -> dict[str, Any]:
-    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
@@ -226,20 +226,18 @@ def trace(frame: pd.DataFrame) -> HTML:
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
     where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
-    missing = frame.attrs["missing"]
-    set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
+    missing, aside = frame.attrs["missing"], [{"run_id": n} for n in frame.attrs["set_aside"]]
     folded = {
         f"the runs, and how to rerun each ({where})": frame.to_dict("records"),
         f"planned runs that are not made yet ({len(missing)})": missing,
-        f"runs of other settings or seeds, not shown ({len(set_aside)})": set_aside,
+        f"runs of other settings or seeds, not shown ({len(aside)})": aside,
     }
     page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
     page += web.links(frame) if len(frame) else ""
     for summary, shown in folded.items():
         texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
         codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]
-        items = "".join(f"<li>{code}</li>" for code in codes)
-        if items:
+        if items := "".join(f"<li>{code}</li>" for code in codes):
             page += f"<details><summary>{escape(summary)}</summary><ul>{items}</ul></details>"
     return HTML(f"{page}</div>")
 
@@ -298,14 +296,14 @@ def select(
     return narrowed
 
 
-def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell, one per trial, no stand-ins."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & ~frame["stand_in"]]
+def cell(frame: pd.DataFrame, method: str, body: str, *, stand_ins: bool = False) -> pd.DataFrame:
+    """Return the rows of one cell, one per trial, or those that stand in for missing ones."""
+    rows = frame["method"].eq(method) & frame["body"].eq(body)
+    return frame[rows & frame["stand_in"].eq(stand_ins)]
 
 
-def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return one cell's runs of another number of iterations, in place of missing ones."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & frame["stand_in"]]
+stand_ins = functools.partial(cell, stand_ins=True)
+"""One cell's runs of another number of iterations, in place of missing ones."""
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -342,11 +340,8 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     return one - other[0] if other else one
 
 
-def find(run_id: str) -> RunRecord:
-    """Return the record of a finished run; SilemError if there is none."""
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
-    return record
+find = runs.get
+"""The record of a finished run; SilemError if there is none."""
 
 
 def load_curve(run_id: str) -> pd.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -98,27 +99,22 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     """
     rows, original = [], results.original_body(frame)
     upright = results.upright_label(frame).removeprefix("share of ")
-    for body in results.body_names(frame):
-        for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
-            label = style.method(method, original).label
-            shown = [(label, results.cell(frame, method, body))]
-            for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
-                planned = runs["planned_iterations"].iloc[0]
-                shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
-            best = results.against_best(frame, method, body)
-            rows += [
-                {
-                    "body": body,
-                    "method": words,
-                    "trials": len(runs),
-                    "return": _mean(runs["return_mean"], spread=True),
-                    "score": _mean(runs["normalised"], 2, spread=True),
-                    "score, best expert": _mean(best if words == label else [], 2),
-                    "speed (m/s)": _mean(runs["speed_m_s"], 2),
-                    upright: _mean(100 * runs["upright"], 0, " %"),
-                    "discriminator reward": _mean(runs["disc_reward"]),
-                    "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
-                }
-                for words, runs in shown
-            ]
+    cells = itertools.product(results.body_names(frame), style.METHODS)
+    for body, method in ((b, m) for b, m in cells if results.is_planned(frame, m, b)):
+        label = style.method(method, original).label
+        shown = [(label, results.cell(frame, method, body))]
+        for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
+            planned = runs["planned_iterations"].iloc[0]
+            shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
+        best = results.against_best(frame, method, body)
+        for words, runs in shown:
+            row = {"body": body, "method": words, "trials": len(runs)}
+            row["return"] = _mean(runs["return_mean"], spread=True)
+            row["score"] = _mean(runs["normalised"], 2, spread=True)
+            row["score, best expert"] = _mean(best if words == label else [], 2)
+            row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
+            row[upright] = _mean(100 * runs["upright"], 0, " %")
+            row["discriminator reward"] = _mean(runs["disc_reward"])
+            row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
+            rows.append(row)
     return styled(pd.DataFrame(rows))
