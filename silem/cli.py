@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import mean
 from typing import Any, NoReturn
 
 import silem
@@ -176,6 +177,12 @@ _ONLY = tuple(
     _option(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
     for what in ("body", "method")
 )
+_LOOP = (
+    _option("--workers", type=_whole(1, 1024), metavar="K",
+            help="so many processes, with one bar; default: this one alone"),
+    _option("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then"),
+    _option("--retry", action="store_true", help="also what has failed before"),
+)  # fmt: skip
 _RUN_ID = _option("run_id", metavar="RUN_ID")
 
 
@@ -241,14 +248,21 @@ def _value(name: str, text: str) -> Any:
 
 def _configs(options: argparse.Namespace) -> list[RunConfig]:
     """Return the runs of all studies asked for, one study after the other."""
-    only = {name: getattr(options, name) for name in ("body", "method")}
-    asked = (budget_of(options), options.trials, options.sample)
-    return [c for study in options.studies for c in studies.study_configs(study, *asked, **only)]
+    only = {name: getattr(options, name, None) for name in ("body", "method")}
+    budget, trials, sample = budget_of(options), options.trials, options.sample
+    if getattr(options, "winner", False):
+        return studies.fresh_configs(options.studies[0], budget, trials, sample)
+    return [
+        config
+        for study in options.studies
+        for config in studies.study_configs(study, budget, trials, sample, **only)
+    ]
 
 
 def _words(options: argparse.Namespace) -> list[str]:
     """Return the command line of a loop that does what these options ask for."""
-    words = ["work", *options.studies]
+    winner = ["--winner"] if getattr(options, "winner", False) else []
+    words = ["search" if winner else "work", *options.studies, *winner]
     for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
         if (said := getattr(options, name, None)) is not None:
             words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
@@ -276,13 +290,7 @@ def _run(options: argparse.Namespace) -> None:
     print(record.folder / RECORD)
 
 
-@_takes(
-    _STUDIES, *_RUNS, *_ONLY,
-    _option("--workers", type=_whole(1, 1024), metavar="K",
-            help="so many processes, with one bar; default: this one alone"),
-    _option("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then"),
-    _option("--retry", action="store_true", help="also what has failed before"),
-)  # fmt: skip
+@_takes(_STUDIES, *_RUNS, *_ONLY, *_LOOP)
 def _work(options: argparse.Namespace) -> None:
     """Make what is missing of studies, run after run."""
     from silem.study import work
@@ -297,6 +305,37 @@ def _work(options: argparse.Namespace) -> None:
         work.crew(_words(options), configs, options.workers, progress)
     else:
         work.work(configs, options.minutes or math.inf, progress, made)
+
+
+@_takes(
+    _option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
+    *_RUNS, *_ONLY, *_LOOP,
+)  # fmt: skip
+def _campaign(options: argparse.Namespace) -> None:
+    """Make what is missing of one study, by two workers if it is not said by how many."""
+    options.workers = options.workers or 2
+    _work(options)
+
+
+_WINNER = "when it is finished: its best, and the supplement's, on seeds that it has not used"
+
+
+@_takes(
+    _option("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell"), *_RUNS, *_LOOP,
+    _option("--winner", action="store_true", help=_WINNER),
+)  # fmt: skip
+def _search(options: argparse.Namespace) -> None:
+    """Run a grid of the supplement, and rank its configurations."""
+    cell = options.studies[0]
+    if "/" not in cell:
+        raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(cell)}")
+    _work(options)
+    found = studies.ranking(cell, budget_of(options), options.trials, options.sample)
+    for place, entry in enumerate(found, 1):
+        said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
+        mark = "  (the supplement's best)" if entry.is_papers else ""
+        fresh = f"  (on fresh seeds: {mean(entry.fresh):.0f})" if entry.fresh else ""
+        print(f"{place:4} {entry.score:8.0f}  {said}{mark}{fresh}")
 
 
 @_takes(
@@ -323,16 +362,11 @@ def _submit(options: argparse.Namespace) -> None:
 
 @_takes(_option("studies", nargs="*", default=["halfcheetah"], **_STUDY), *_RUNS)
 def _status(options: argparse.Namespace) -> None:
-    """What of studies is finished, failed or missing, and how a search ranks what is finished."""
+    """What of studies is finished, running, failed, missing, and how long the rest takes."""
     from silem.study import work
 
     for study in options.studies:
         print(work.status(study, budget_of(options), options.trials, options.sample))
-        ranked = studies.ranking(study, budget_of(options), options.trials) if "/" in study else ()
-        for place, entry in enumerate(ranked, 1):
-            said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
-            mark = "  (the supplement's best)" if entry.is_papers else ""
-            print(f"{place:4} {entry.score:8.0f}  {said}{mark}")
 
 
 @_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)

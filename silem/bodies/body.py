@@ -106,6 +106,11 @@ class Body:
         return math.sin(slope), 0.0, math.cos(slope)
 
     @property
+    def can_fall(self) -> bool:
+        """Whether an episode can end before its last step."""
+        return True
+
+    @property
     def action_size(self) -> int:
         """Number of motors."""
         return len(self.motors)
@@ -127,6 +132,11 @@ class BulletBody(Body):
     parts: tuple[Part, ...]  #: the points in the mean, the root first
     n_parts: int  #: number of parts in the mean
     alive: AliveRule
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode ends when the body is no longer upright."""
+        return self.alive.terminates
 
     @property
     def observation_size(self) -> int:

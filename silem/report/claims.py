@@ -1,6 +1,7 @@
 """The scorecard: the paper's claims, each with the rule that decides it, and what our runs say.
 
-The rules were fixed before the cells that they judge were complete.
+The rules, in ``claims.toml``, were fixed before the cells that they judge were complete, the Ants'
+before any run.
 A claim measures one or two quantities, each a mean over trials against bounds. Its interval is a
 95 % t interval (Student's for one cell, Welch's for two). A quantity passes where the whole
 interval lies within its bounds and fails where all of it lies outside; a claim "holds" or "does not
@@ -22,6 +23,7 @@ import pandas as pd
 from pandas.io.formats.style import Styler
 
 from silem import bodies, paper
+from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics
 from silem.report.statistics import NO_INTERVAL, Interval
@@ -51,6 +53,7 @@ _NAMES = {
 _QUANTITIES = {
     "return_mean": ("return", 0), "returns": ("return", 0), "disc_reward": ("reward of D", 0),
     "speed_m_s": ("speed (m/s)", 2), "upright": ("share of steps survived", 2),
+    "steps": ("steps of an episode", 0),
 }  # fmt: skip
 
 
@@ -218,6 +221,8 @@ class Claim:
 
 _LEVELS = {
     "most": 1 - MARGIN,
+    "half": WALKING,
+    "survives": (1 - MARGIN) * MAX_STEPS,
     "return": MARGIN * (paper.number("expert_return") - paper.number("random_return")),
     "reward": MARGIN * max(paper.number("disc_reward_range")),
     "gap": MARGIN * paper.number("humanoid_max_return"),

@@ -30,6 +30,7 @@ QUANTITIES = {
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)))
 _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
+_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 _ONE_RUN = {name: title for name, (title, _) in QUANTITIES.items()} | {
     "disc_acc_expert": "discriminator accuracy", "policy_std": "policy's standard deviation",
 }  # fmt: skip
@@ -41,13 +42,13 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
     running mean, up to where the shortest ends; runs of another number of iterations than planned
-    are dashed. Experts have no row for the discriminator, humanoids one for steps before a fall.
+    are dashed. Experts have no row for the discriminator; bodies that fall have one for when.
     """
     frame = scores.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
     left_out = {"disc_reward"} if drawn == ["ppo"] else set()  # whose panels would all be empty
-    left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
+    left_out |= set() if results.can_fall(frame) else {"episode_length"}
     quantities = [name for name in QUANTITIES if name not in left_out]
     size: dict[str, Any] = {"nrows": len(quantities), "ncols": len(names), "squeeze": False}
     figure, grid = style.new_figure(2.0 * len(quantities), sharex="col", sharey="row", **size)
@@ -63,16 +64,13 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
         axes.xaxis.set_major_locator(MaxNLocator(4 if len(names) < 5 else 2))
         if not axes.lines:
             style.say(axes, "not recorded" if (frame["body"] == body).any() else "no run")
-    # a scale without a curve means nothing
+    style.no_scales_without_lines(grid)
     for row, quantity in zip(grid, quantities, strict=True):
         row[0].set_ylabel(QUANTITIES[quantity][0])
-        if not any(axes.lines for axes in row):
-            row[0].set_yticks([])
     for column, body in zip(grid.T, names, strict=True):
         column[0].set_title(body)
-        column[-1].set_xlabel("million timesteps")
-        if not any(axes.lines for axes in column):
-            column[-1].set_xticks([])
+        if len(names) < 5 or body == names[len(names) // 2]:
+            column[-1].set_xlabel("million timesteps")
     grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
     figure.align_labels()
     counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
@@ -82,6 +80,17 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     if frame["stand_in"].any():
         handles.append(style.handle(style.MUTED, scores.OTHER_LENGTH, ls=_DASHES[1]))
     return scores.finish(figure, frame, handles, note)
+
+
+def rises(frame: pd.DataFrame) -> list[bool]:
+    """Tell of each run whether its return rose: the last tenth of its curve over the one before."""
+    found = []
+    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
+        values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
+        n = max(1, round(_TAIL * len(values)))
+        if len(values) >= 2 * n:
+            found.append(bool(values[-n:].mean() > values[-2 * n : -n].mean()))
+    return found
 
 
 @style.applied()
@@ -120,7 +129,7 @@ def of_run(record: RunRecord) -> Figure:
     """Draw one run's curve: the first four quantities that it knows, of a humanoid six."""
     curve = pd.DataFrame(files.read_csv(record.file(CURVE))).reindex(columns=CURVE_COLUMNS)
     known = {name for name in curve if curve[name].notna().any()} | {"return_mean", "speed_m_s"}
-    if bodies.get(record.config["body"]).engine == "bullet":  # nobody falls
+    if not bodies.get(record.config["body"]).can_fall:
         known.discard("episode_length")
     shown = [name for name in _ONE_RUN if name in known]
     shown = shown[: 6 if "episode_length" in known else 4]
@@ -155,8 +164,7 @@ def draw(
             style.say(axes, word)
     for axes in grid[-n_columns:]:
         axes.set_xlabel("iteration")
-    if not any(axes.lines for axes in grid):
-        grid[0].set_xticks([])  # a scale without a curve means nothing
+    style.no_scales_without_lines([grid])
     return figure, grid
 
 

@@ -18,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from silem import bodies, paper
+from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics, style
 from silem.study.settings import BUDGETS, METHODS
@@ -28,7 +29,7 @@ INTERVAL_TRIALS = 5
 
 OTHER_LENGTH = "shorter or longer run"
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
-"""The groups of Figure 2b, in the paper's order."""
+"""The groups of Figures 2b and 2d, in the paper's order."""
 
 COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 """The methods of Figure 3b."""
@@ -36,6 +37,7 @@ COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "normalised_scores": (("ppo", *IMITATORS), None),
+    "figure_2d": (("ppo", *IMITATORS, "random"), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
@@ -131,8 +133,9 @@ def by_body(
                 at = [getattr(values, panel.level)()] * 2
                 axes.plot([index - 0.44, index + 0.44], at, zorder=1.8, **look)
                 handles[label] = style.handle(label=label, **look)
-        if panel.column == "return_mean":
+        if panel.column in ("return_mean", "steps"):
             axes.yaxis.set_major_formatter("{x:,.0f}")
+        if panel.column == "return_mean":
             if label := _paper_marks(axes, names):
                 handles[label] = style.handle(style.PAPER, label, lw=2)
         low, high = axes.get_ylim()
@@ -146,21 +149,27 @@ def by_body(
 
 @style.applied()
 def normalised_scores(frame: pd.DataFrame) -> Figure:
-    """Draw Figure 2b or 2d, and whether a score is a gait.
+    """Draw Figure 2b or, with the steps before a fall, 2d, and whether a score is a gait.
 
     First, as in the paper, the normalised scores, then the forward speed of the same trials and of
     the experts: where the expert only stands, a score of 1 is standing.
     """
-    frame, everyone = runs_of("normalised_scores", frame), [*IMITATORS, "ppo"]
-    score = "Score: minimum, mean, maximum over trials"
+    falls = results.can_fall(frame)
+    frame, low = runs_of("figure_2d" if falls else "normalised_scores", frame), ("random",) * falls
+    score, everyone = "Score: minimum, mean, maximum over trials", (*IMITATORS, "ppo", *low)
     shown = [
-        Panel("normalised", score, IMITATORS, level="max", scale="experts"),
+        Panel("normalised", score, (*IMITATORS, *low), level="max", scale="experts"),
         Panel("speed_m_s", "Forward speed (m/s)", everyone),
+        Panel("steps", f"Steps of an episode, at most {MAX_STEPS:,}", everyone, MAX_STEPS),
     ]
-    figure, (left, _), levels = by_body(frame, shown)
-    left.axhline(paper.number("expert_level"), **_MEAN)
+    shown = [panel._replace(counts=not falls) for panel in shown[: 3 if falls else 2]]
+    figure, grid, levels = by_body(frame, shown, 2.4 if falls else 3.9)
+    grid[0].axhline(paper.number("expert_level"), **_MEAN)
     mean = style.handle(label="mean of the body's experts", **_MEAN)
     note = interval_note(frame, everyone, "speed_m_s")
+    if falls:
+        counts = [len(results.cell(frame, m, b)) for _, m, b in _places(frame, everyone[:-1])]
+        note = f"trials of a cell: {min(counts)} to {max(counts)}; {note}"
     return finish(figure, frame, [*methods_of(frame, everyone), mean, *levels], note)
 
 

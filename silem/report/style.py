@@ -185,6 +185,16 @@ def say(axes: Axes, word: str) -> None:
     axes.text(0.5, 0.5, word, color=MUTED, backgroundcolor="white", **middle)
 
 
+def no_scales_without_lines(grid: Any) -> None:
+    """Take the scales off rows and columns of panels, which share them, where nothing is drawn."""
+    for row in grid:
+        if not any(axes.lines for axes in row):
+            row[0].set_yticks([])
+    for column in zip(*grid, strict=True):
+        if not any(axes.lines for axes in column):
+            column[-1].set_xticks([])
+
+
 def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
     """Mark a cell without a run: a dashed outline of the slot with a word in it."""
     place: dict[str, Any] = {"transform": axes.get_xaxis_transform()}

@@ -98,6 +98,7 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     Runs of another number of iterations than planned stand in rows of their own.
     """
     rows, original = [], results.original_body(frame)
+    lasts = results.can_fall(frame) and original  # Ants' episodes end, others do not or say a share
     upright = results.upright_label(frame).removeprefix("share of ")
     cells = itertools.product(results.body_names(frame), style.METHODS)
     for body, method in ((b, m) for b, m in cells if results.is_planned(frame, m, b)):
@@ -113,7 +114,10 @@ def cell_table(frame: pd.DataFrame) -> Styler:
             row["score"] = _mean(runs["normalised"], 2, spread=True)
             row["score, best expert"] = _mean(best if words == label else [], 2)
             row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
-            row[upright] = _mean(100 * runs["upright"], 0, " %")
+            if lasts:
+                row["steps"] = _mean(runs["steps"], spread=True)
+            else:
+                row[upright] = _mean(100 * runs["upright"], 0, " %")
             row["discriminator reward"] = _mean(runs["disc_reward"])
             row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
             rows.append(row)

@@ -94,7 +94,7 @@ def by_feature(frame: pd.DataFrame) -> Figure:
     """
     frame = scores.runs_of("by_feature", frame)
     names, handles, n_best = results.body_names(frame), [], paper.number("best_policies_shown")
-    figure, panels, rows = _sheet(names[0], 6.4)
+    figure, panels, rows = sheet(names[0], 6.4)
     for index, body in enumerate(names):
         runs, others = (of(frame, "silem", body) for of in (results.cell, results.stand_ins))
         best = runs.sort_values("return_mean", ascending=False).head(n_best)
@@ -125,7 +125,7 @@ def of_run(record: RunRecord) -> Figure:
     """Draw the affine transform that one run learned, feature by feature."""
     arrays, body = files.read_npz(record.file(TRANSFORM)), record.config["body"]
     color = style.method("silem").color
-    figure, panels, rows = _sheet(body, 0.21 * len(feature_names(body)) + 1.0)
+    figure, panels, rows = sheet(body, 0.21 * len(feature_names(body)) + 1.0)
     for entry, axes in panels.items():
         axes.hlines(rows, _ENTRIES[entry][1], arrays[entry], color=color, lw=1.6)
         axes.plot(arrays[entry], rows, "o", ms=4.5, color=color)
@@ -172,16 +172,19 @@ def _values(rows: pd.DataFrame, entry: str) -> np.ndarray:
     return np.array(loaded) if loaded else np.empty((0, 0))
 
 
-def _sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes], np.ndarray]:
+def sheet(
+    body: str, height_in: float, entries: Mapping[str, tuple[str, float]] = _ENTRIES
+) -> tuple[Figure, dict[str, Axes], np.ndarray]:
     """Return an empty figure of transforms, its panels by entry, and each feature's row, (F,).
 
-    Groups of features stand together, every other one on grey, their units to the right.
+    Of each entry there is a title and a value that a line marks. Groups of features stand together,
+    every other one on grey, their units to the right.
     """
     figure, panels = style.new_figure(height_in, ncols=2, sharey=True)
     groups, names = feature_groups(body), feature_names(body)
     order = [column for group in groups for column in group.columns]
     rows = np.argsort(order).astype(float)
-    for axes, (title, neutral) in zip(panels, _ENTRIES.values(), strict=True):
+    for axes, (title, neutral) in zip(panels, entries.values(), strict=True):
         axes.set(title=title, ylim=(len(names) - 0.4, -0.6))
         axes.grid(axis="y", visible=True)
         axes.tick_params(axis="y", length=0)
@@ -201,4 +204,4 @@ def _sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes], np.nda
     )
     units.tick_params(length=0)
     units.spines[:].set_visible(False)
-    return figure, dict(zip(_ENTRIES, panels, strict=True)), rows
+    return figure, dict(zip(entries, panels, strict=True)), rows

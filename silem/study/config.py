@@ -21,6 +21,9 @@ from silem.util.errors import SilemError, check_name, choose, reason
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
 
+SEARCH = "search-"
+"""How the folder of a search's runs begins."""
+
 MAX_RUN_ID = 240
 """Characters of a run's id, which is a folder's name: file systems take 255."""
 
@@ -126,6 +129,12 @@ class RunConfig:
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
         source = f"_from_{self.demonstrations}" if self.demonstrations else ""
         return f"{self.method}_{self.body}{source}_{self.budget.name}_s{self.seed}_{digest}"
+
+    @property
+    def is_published(self) -> bool:
+        """Whether its record goes to the committed results: evidence, and what searches rank."""
+        searches = self.study.startswith(SEARCH) and self.budget.base_name == "quick"
+        return self.budget.is_evidence or searches
 
     @property
     def command(self) -> str:

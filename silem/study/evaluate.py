@@ -80,6 +80,11 @@ class Episode(NamedTuple):
     speed_m_s: float | None  # mean, forward; None where the environment does not say
     upright: float | None  # fraction of the steps with the alive bonus, or None likewise
 
+    @property
+    def n_steps(self) -> int:
+        """How long it was."""
+        return len(self.features) - 1
+
 
 class Evaluation(NamedTuple):
     """What a policy achieved over `n_episodes` episodes, by the true reward."""
@@ -90,6 +95,7 @@ class Evaluation(NamedTuple):
     returns: list[float]
     speed_m_s: float | None  # None where the environment does not say
     upright: float | None
+    steps_mean: float | None  # of an episode
     disc_reward_mean: float | None  # per episode; None where there is no discriminator
 
     def to_dict(self) -> dict[str, Any]:
@@ -161,14 +167,14 @@ def evaluate(
     """Evaluate a policy over `episodes` by the true reward, and by a `model`'s discriminator."""
     found, scores = [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
-        found.append(episode[1:])
+        found.append((*episode[1:], episode.n_steps))
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
-    returns, speeds, uprights = zip(*found, strict=True)
+    returns, speeds, uprights, steps = zip(*found, strict=True)
     mean, std = float(np.mean(returns)), float(np.std(returns))
     rounded = [round(value, 3) for value in returns]
-    told = _mean(speeds), _mean(uprights), _mean(scores)
+    told = _mean(speeds), _mean(uprights), _mean(steps), _mean(scores)
     return Evaluation(n_episodes, mean, std, rounded, *told)
 
 

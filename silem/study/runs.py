@@ -272,7 +272,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
-    if config.budget.is_evidence:
+    if config.is_published:
         published = paths.results_dir(config.study) / config.run_id
         for name in names:
             files.write_bytes(published / name, (folder / name).read_bytes())

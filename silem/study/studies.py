@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from silem import paper
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, Budget, HyperParameters, budget_named
 from silem.util import seeding
 from silem.util.errors import SilemError, choose
@@ -324,7 +324,7 @@ def study_of(name: str) -> Study:
     best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
     order = seeding.generator(0, "search").permutation(len(points))
     points = sorted((points[i] for i in order), key=lambda point: point != best)
-    given, label = dict(cell.overrides), f"search-{study}-{cell.body}-{cell.method}"
+    given, label = dict(cell.overrides), f"{SEARCH}{study}-{cell.body}-{cell.method}"
     cells = (
         dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
         for point in points
@@ -377,20 +377,46 @@ class Ranked(NamedTuple):
     returns: tuple[float, ...]  # of the trials
     run_ids: tuple[str, ...]
     is_papers: bool  # whether it is the supplement's best combination
+    fresh: tuple[float, ...]  # returns of trials on the seeds that the search has not used
 
 
-def ranking(study: str, budget: str | Budget, n_trials: int | None = None) -> list[Ranked]:
+def ranking(
+    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
+) -> list[Ranked]:
     """Rank the configurations of a search of which all trials are finished, the best first.
 
-    The score is the supplement's: the mean over the trials of what the trained policy returns.
+    The score is the supplement's: the mean over the trials of what the trained policy returns. The
+    arguments are those of `study_configs`.
     """
     budget, found = budget_named(budget), []
-    seeds, searched = seeds_of(study, budget, n_trials), cells(study)
+    n, searched = len(seeds_of(study, budget, n_trials)), cells(study)[:sample]
     for cell in searched:
-        ids = tuple(cell.config(budget, seed).run_id for seed in seeds)
-        records = [record for run_id in ids if (record := runs.find(run_id))]
-        if len(records) == len(seeds):
-            returns = tuple(float(record.evaluation["return_mean"]) for record in records)
-            score, best = sum(returns) / len(returns), cell is searched[0]
-            found.append(Ranked(dict(cell.overrides), score, returns, ids, best))
+        ids = tuple(cell.config(budget, seed).run_id for seed in SEARCH_SEEDS)
+        used, fresh = (
+            tuple(float(r.evaluation["return_mean"]) for run_id in some if (r := runs.find(run_id)))
+            for some in (ids[:n], ids[n:])
+        )
+        if len(used) == n:
+            best = cell is searched[0]
+            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, ids[:n], best, fresh))
     return sorted(found, key=lambda entry: -entry.score)
+
+
+def fresh_configs(
+    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
+) -> list[RunConfig]:
+    """Return a search's winner, and the supplement's best, on the seeds that it has not used.
+
+    The winner's own trials flatter it, for they have chosen it. Raises SilemError: the search is
+    not finished, or has used all seeds.
+    """
+    budget = budget_named(budget)
+    ranked = ranking(study, budget, n_trials, sample)
+    used, searched = seeds_of(study, budget, n_trials), cells(study)[:sample]
+    if len(ranked) < len(searched):
+        told = f"{len(ranked)} of {len(searched)} configurations have all their trials"
+        raise SilemError(f"the winner of {study} is not known yet: {told}")
+    if len(used) == len(SEARCH_SEEDS):
+        raise SilemError(f"{study} has no fresh seeds: its {len(used)} trials have used all")
+    chosen = [c for c in searched if c is searched[0] or dict(c.overrides) == ranked[0].settings]
+    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[len(used) :] for cell in chosen]

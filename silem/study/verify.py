@@ -27,8 +27,8 @@ TOLERANCE = 5.0
 then differ from the recorded one by so many standard errors of the difference."""
 # What code raises that takes a record's content for what it should be.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-# older records did not count it; no episode need end while an imitator learns
-_MAY_LACK = ("processor_time_s", "disc_reward_last")
+# older records did not count them; no episode need end while an imitator learns
+_MAY_LACK = ("processor_time_s", "steps_mean", "disc_reward_last")
 _ROUNDING = 1e-3  # single returns are recorded with three digits after the point
 
 
@@ -103,6 +103,7 @@ def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
     for what, value, low, high, there in (
         ("upright", evaluation["upright"], 0.0, 1.0, told),
         ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S, told),
+        ("steps_mean", evaluation.get("steps_mean"), 1.0, max_steps, True),
         ("return_mean", evaluation["return_mean"], -math.inf, highest, True),
         ("disc_reward_mean", evaluation["disc_reward_mean"], 0.0, max_steps, imitates),
         ("disc_reward_last", training["disc_reward_last"], 0.0, max_steps, imitates),
@@ -201,7 +202,7 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
 
     Evaluations have fixed seeds, and each environment's number of episodes is fixed beforehand. So
     the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order;
-    all of them also verify speed and share upright, none leaves the policy alone.
+    all of them also verify speed, length and share upright, none leaves the policy alone.
 
     Returns:
         `EXACT` if every return is the recorded one. `WITHIN` if they are not, the record's
@@ -236,9 +237,12 @@ def _evaluated(record: RunRecord, n_episodes: int) -> tuple[str, str]:
     returns = np.array([round(episode.episode_return, 3) for episode in there])
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
-    for name in ("speed_m_s", "upright") if n == total else ():
-        values, told = [getattr(episode, name) for episode in there], evaluation[name]
-        same &= set(values) == {None} if told is None else abs(np.mean(values) - told) <= 1e-9
+    told = {name: evaluation[name] for name in ("speed_m_s", "upright")}
+    if "steps_mean" in evaluation:
+        told["n_steps"] = evaluation["steps_mean"]
+    for name, mean in told.items() if n == total else ():
+        values = [getattr(episode, name) for episode in there]
+        same &= set(values) == {None} if mean is None else abs(np.mean(values) - mean) <= 1e-9
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
         return EXACT, why
