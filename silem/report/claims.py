@@ -9,8 +9,6 @@ hold" where its quantities decide it, and is "undecided" otherwise, with the rea
 holds the variance of the demonstrator: all imitators of a study learn from the same one.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import dataclass
@@ -99,7 +97,7 @@ class Measure:
         words = f"above {low}" if np.isfinite(self.lower) else f"below {high}"
         return f"{self.name} {words}".replace("-", "−")
 
-    def find(self, frame: pd.DataFrame) -> Finding:
+    def find(self, frame: pd.DataFrame) -> "Finding":
         """Read the quantity off a table of runs."""
         samples = [results.values(frame, *cell, self.column) for cell in self.cells]
         counts = {self._label(c): len(v) for c, v in zip(self.cells, samples, strict=True)}

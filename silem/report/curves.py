@@ -1,7 +1,5 @@
 """Learning curves: of a study's methods by body, of whole runs beside each other, of one run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any

@@ -6,8 +6,6 @@ never checks a type, so a misspelt parameter would silently run the defaults. Th
 therefore calls `parameters`.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import html

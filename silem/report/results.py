@@ -6,8 +6,6 @@ as missing and runs of other settings as set aside; neither is passed over in si
 `frame` is such a table, of one study at one budget, and a cell a method on a body.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
@@ -43,6 +41,13 @@ PAPER_LOSS = {
 """The study that has a study's cells with the paper's loss for D, without our gradient penalty."""
 
 _WITHOUT_D = ("ppo", "random")
+
+
+class _Kept(list[Any]):
+    """What a table carries along: pandas copies ``attrs`` deeply in everything that it does."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "_Kept":
+        return self
 
 
 def load_records(
@@ -86,10 +91,10 @@ def load_records(
     set_aside += list(found.drop(frame.index)["run_id"])
     frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
     made = set(frame["run_id"])
-    missing = [_keys(plan) for plan in plans if plan.run_id not in made]
+    missing = _Kept(_keys(plan) for plan in plans if plan.run_id not in made)
     frame = _with_scores(frame, study, budget)
     frame.attrs = {"study": study, "budget": budget, "missing": missing}
-    frame.attrs["set_aside"] = sorted(set_aside)
+    frame.attrs["set_aside"] = _Kept(sorted(set_aside))
     return frame
 
 
@@ -259,13 +264,12 @@ def commits(frame: pd.DataFrame) -> str:
 
 def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
-    study, budget = context(frame)
-    return len(seeds_of(study, BUDGETS[budget]))
+    return len(seeds_of(frame.attrs["study"], BUDGETS[frame.attrs["budget"]]))
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
-    known = {cell.body for cell in cells(context(frame)[0])}
+    known = {cell.body for cell in cells(frame.attrs["study"])}
     return [name for name in frame.attrs.get("bodies", _sorted(known)) if name in known]
 
 
@@ -288,7 +292,7 @@ def upright_label(frame: pd.DataFrame) -> str:
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     """Tell whether a table's study has a cell, or shares another study's."""
-    planned = {(cell.method, cell.body) for cell in cells(context(frame)[0])}
+    planned = {(cell.method, cell.body) for cell in cells(frame.attrs["study"])}
     return method in frame.attrs.get("shared", ()) or (method, body) in planned
 
 
@@ -304,7 +308,7 @@ def select(
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
     narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
     missing = frame.attrs["missing"]
-    missing = [run for run in missing if run["method"] in methods and run["body"] in shown]
+    missing = _Kept(r for r in missing if r["method"] in methods and r["body"] in shown)
     narrowed.attrs = frame.attrs | {"missing": missing, "bodies": shown}
     return narrowed
 

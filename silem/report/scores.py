@@ -4,8 +4,6 @@ A panel has its bodies along the x axis, 1 apart, and for each a slot per method
 cell of a study, with its trials, their minimum, mean and maximum, and their interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -8,8 +8,6 @@ A page that names a number takes it from where the code takes it, so that the tw
 - ``{settings}`` and ``{budgets}``: this project's hyper-parameters and budgets as tables.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

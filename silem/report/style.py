@@ -5,8 +5,6 @@ behind. The colours are Okabe and Ito's, which stay apart under the common colou
 markers repeat what colour says.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Tables for the book: pandas Stylers of the paper's tables and of the runs' records."""
 
-from __future__ import annotations
-
 import hashlib
 import html
 import itertools

@@ -1,7 +1,5 @@
 """The affine transforms that were learned, feature by feature: of bodies (Figure 4), of one run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -21,8 +19,8 @@ from silem.util.errors import SilemError, choose
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _ENTRIES = {
-    "A": ("A, diagonal (1: a feature as it is)", 1.0),
-    "b": ("b, in each feature's unit (0: as it is)", 0.0),
+    "A": ("A, diagonal (1: unchanged)", 1.0),
+    "b": ("b, offset (0: unchanged)", 0.0),
 }
 _ARMS = ("left hand", "right hand", "elbow")
 _TORSO = (

@@ -3,8 +3,6 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

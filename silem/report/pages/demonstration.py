@@ -4,8 +4,6 @@ Its stick figures, landmarks with left and right in the colours of their side, a
 other pages on humanoids.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -129,7 +127,7 @@ def features(motion: Motion) -> Figure:
         f"{title} ({unit})" if (unit := FEATURES[columns[names[0]]].unit) else title
         for title, names in _PANELS
     ]
-    figure, grid = style.panels(titles, 1.1, 3, sharex=True)
+    figure, grid = style.panels(titles, 1.55, 3, sharex=True)
     for axes, (_, names) in zip(grid, _PANELS, strict=True):
         for side, stands in zip(SIDES, standing_feet(motion).T, strict=True):
             edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))

@@ -1,7 +1,5 @@
 """The gaits of one body's experts: what they show, how they run, what imitators make of them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The page of the humanoids: Figure 3a, measures and distances, the reward's factors, falls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

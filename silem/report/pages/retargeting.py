@@ -3,8 +3,6 @@
 Everywhere `human` is the demonstrator's motion, and `results` is the same motion on some bodies.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Sequence
@@ -78,7 +76,7 @@ def poses(human: Motion, result: IKResult) -> Figure:
 def residuals(results: Sequence[IKResult]) -> Figure:
     """Draw over time how far each landmark is from its target, one panel per body."""
     titles = [result.body for result in results]
-    figure, grid = style.panels(titles, 1.5, 1, sharex=True, sharey=True)
+    figure, grid = style.panels(titles, 1.6, 1, sharex=True, sharey=True)
     for axes, result in zip(grid, results, strict=True):
         time_s = np.arange(len(result.residuals)) / result.rate_hz
         for color, names in _LINES.values():
