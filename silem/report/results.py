@@ -19,9 +19,8 @@ import pandas as pd
 from IPython.display import HTML
 
 from silem import bodies
-from silem.motion.features import FEATURES
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
@@ -33,9 +32,9 @@ from silem.util.errors import SilemError, choose
 _KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ["return_mean", "speed_m_s", "upright"]
 COLUMNS = [
-    *_KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
-    "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns",
-    "folder", "expert_return", "normalised",
+    *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations",
+    "planned_iterations", "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit",
+    "dirty", "returns", "folder", "expert_return", "normalised",
 ]  # fmt: skip
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
@@ -45,27 +44,31 @@ PAPER_LOSS = {
 _WITHOUT_D = ("ppo", "random")
 
 
-def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
+def load_records(
+    study: str = "halfcheetah", budget: str = "book", n_iterations: int = 0, **which: Any
+) -> pd.DataFrame:
     """Load a study's finished runs at one budget, one row per run; SilemError for a broken record.
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
     policy counts once per body, because every evaluation meets the same episodes. The longest run
     that differs from a missing one in its number of iterations alone stands in for it
-    (``stand_in``); `cell` leaves it out.
+    (``stand_in``); `cell` leaves it out. A search, STUDY/BODY/METHOD, is a study too: `which` is
+    what else `study_configs` takes, and `n_iterations`, if not 0, stands for the budget's.
 
     Returns:
         `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
         ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
-        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
-        episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
-        dicts) and ``set_aside`` (run ids).
+        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` and ``steps``
+        (NaN where a record does not say) are of an episode. ``attrs`` holds ``study``, ``budget``,
+        ``missing`` (what was planned, a list of dicts) and ``set_aside`` (run ids).
     """
     choose("budget", budget, BUDGETS)
-    plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]
+    plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
-    for record in _records(study, budget):
+    for record in _records(cells(study)[0].study, budget):
         config = record.run_config()
         if _is_copy(config):
             continue
@@ -74,7 +77,8 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         else:
             set_aside.append(record.run_id)
     found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
-    found = found.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    kinds = {"stand_in": bool} | dict.fromkeys(("disc_reward", "steps", "processor_time_s"), float)
+    found = found.astype(kinds)
     # of each plan the run that was planned, else the longest
     found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
     frame = found.drop_duplicates("plan")
@@ -101,7 +105,7 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
-    """Yield the valid records of a study at a budget, each once: published ones where both are."""
+    """Yield the valid records in a study's folder at a budget, each once: published ones first."""
     folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
     folders.append(paths.results_dir(study))
     found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
@@ -133,6 +137,7 @@ def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any
         "plan": plan.run_id,
         **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
+        "steps": evaluation.get("steps_mean", np.nan),
         "disc_reward": evaluation["disc_reward_mean"],
         "n_iterations": config.budget.n_iterations,
         "planned_iterations": plan.budget.n_iterations,
@@ -168,8 +173,20 @@ def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
 
 def _order(column: pd.Series) -> pd.Series:
     """Sort bodies by the registry and methods as they are declared, not by the alphabet."""
-    ranks = {"body": bodies.names(), "method": list(METHODS)}.get(str(column.name))
-    return column.map(ranks.index) if ranks else column
+    if column.name == "body":
+        return column.map(_sorted(set(column)).index)
+    return column.map(list(METHODS).index) if column.name == "method" else column
+
+
+def _sorted(names: set[str]) -> list[str]:
+    """Sort bodies as the registry does, then those that their names describe, by their numbers."""
+
+    def numbers(name: str) -> tuple[Any, ...]:
+        body = bodies.get(name)
+        return body.family, body.slope_deg, body.length[1], name
+
+    known = [name for name in bodies.names() if name in names]
+    return known + sorted(names - set(known), key=numbers)
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
@@ -214,7 +231,9 @@ def trace(frame: pd.DataFrame) -> HTML:
 
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
-    where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
+    folder = cells(study)[0].study
+    kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
+    where = f"records in data/results/{folder}" if kept else "local runs"
     missing = frame.attrs["missing"]
     set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
     folded = {
@@ -249,13 +268,18 @@ def n_trials(frame: pd.DataFrame) -> int:
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
     known = {cell.body for cell in cells(context(frame)[0])}
-    return [name for name in frame.attrs.get("bodies", bodies.names()) if name in known]
+    return [name for name in frame.attrs.get("bodies", _sorted(known)) if name in known]
 
 
 def original_body(frame: pd.DataFrame) -> str:
     """Return the body whose expert demonstrates to the others, e.g. HC0; "" where a human does."""
     demonstrator = FAMILIES[bodies.get(body_names(frame)[0]).family].original
     return demonstrator if demonstrator in bodies.names() else ""
+
+
+def can_fall(frame: pd.DataFrame) -> bool:
+    """Tell whether episodes of a table's bodies can end early."""
+    return bodies.get(body_names(frame)[0]).can_fall
 
 
 def upright_label(frame: pd.DataFrame) -> str:
@@ -312,19 +336,21 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     """Return one cell's values of a quantity that a claim is about, one for each trial, (N,).
 
     `quantity` is a column; ``"returns"``, the episodes of a policy that is not trained, which are
-    its replicates; or an entry of a humanoid's T, the mean over the features whose names begin so:
-    ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
+    its replicates; or an entry of T, the mean over the features whose names begin so: ``"b pitch"``
+    of a runner, ``"A left_hand"`` of a humanoid, or a difference, ``"b left_elbow - right_elbow"``.
     """
+    from silem.report.transforms import feature_names  # which reads results
+
     found = cell(frame, method, body)
     if quantity == "returns":
         return np.array(found["returns"].iloc[0]) if len(found) else np.empty(0)
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries = [load_transform(run_id)[key] for run_id in found["run_id"]]
+    entries, names = [load_transform(r)[key] for r in found["run_id"]], feature_names(body)
     one, *other = (
-        np.array([entry[[f.name.startswith(part) for f in FEATURES]].mean() for entry in entries])
-        for part in parts.split(" - ")
+        np.array([entry[[name.startswith(part) for name in names]].mean() for entry in entries])
+        for part in parts.replace("_", " ").split(" - ")
     )
     return one - other[0] if other else one
 
