@@ -287,9 +287,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
     walks = bodies.get(results.body_names(frame)[0]).family == "humanoid"
     unit = paper.number("humanoid_max_return") if walks else frame["expert_return"]
     scored = frame.assign(score=frame["return_mean"].astype(float) / unit)
-    top = max(1.05, scored["score"].max() + 0.05)
+    low, top = (np.nan_to_num(end) for end in (scored["score"].min(), scored["score"].max()))
+    low, top = min(0.0, low), max(1.05, top + 0.05)
     figure, axes = style.new_figure(3.2)
-    taus, handles = np.linspace(min(0.0, scored["score"].min()), top, 500), []
+    taus, handles = np.linspace(low, top, 500), []
     for name in (name for name in style.METHODS if (frame["method"] == name).any()):
         look = style.method(name, results.original_body(frame))
         values = scored.loc[scored["method"] == name, "score"].dropna().to_numpy()
@@ -304,10 +305,13 @@ def profiles(frame: pd.DataFrame) -> Figure:
             tests = [stats.binomtest(k, len(values)) for k in range(len(values) + 1)]
             band = np.array([test.proportion_ci(statistics.LEVEL) for test in tests])[above]
             axes.fill_between(taus, *band.T, color=look.color, alpha=0.14, lw=0, step="pre")
-    axes.set(ylim=(-0.02, 1.04), ylabel="share of runs above τ", xlim=(taus[0], top))
+    axes.set(ylim=(-0.02, 1.04), ylabel="share of runs above τ", xlim=(low, top))
     over = "the highest possible" if walks else "the mean of the body's experts"
     axes.set_xlabel(f"τ: return of an episode over {over}")
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
+    if handles:
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
+    else:
+        style.say(axes, "no run")
     note = (
         f"dashed: fewer than {scores.INTERVAL_TRIALS} runs, without a band; bands: Clopper"
         " and Pearson's 95 % interval at each τ, as if all bodies' runs were of one kind"
