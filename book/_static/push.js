@@ -13,7 +13,7 @@ silem.ready(() => {
   // ------------------------------------------------------------ before anything is loaded
 
   const film = make("video", {
-    src: place.dataset.film, poster: place.dataset.still, controls: true, loop: true, muted: true, playsinline: true,
+    src: place.dataset.film, poster: place.dataset.still, controls: true, loop: true, muted: true, playsinline: true, preload: "none",
     "aria-label": "A humanoid of capsules walks forwards on a chequered floor: the policy that this page can load, filmed.",
   });
   const poster = make("div", { class: "silem-poster" }, film);

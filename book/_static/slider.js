@@ -48,7 +48,7 @@ silem.ready(async () => {
   const field = (name, control) => make("label", { class: "silem-field" }, make("span", {}, name), control);
   const panels = make("div", { class: "silem-panels" });
   const transform = make("div", { class: "silem-transform" });
-  const film = make("video", { controls: true, loop: true, muted: true, playsinline: true, width: 400, height: 300 });
+  const film = make("video", { controls: true, loop: true, muted: true, playsinline: true, preload: "none", width: 400, height: 300 });
   const filmed = make("output");
   const about = make("p", { class: "silem-keys" });
   const screen = make("figure", { class: "silem-panel-one silem-film" },

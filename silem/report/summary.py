@@ -193,8 +193,13 @@ def judged() -> pd.DataFrame:
 def verdicts() -> Table:
     """Return the claims in short, a row for each that is made of several bodies."""
     grouped: dict[str, list[str]] = {}
+    waiting: dict[str, list[str]] = {}
     for row in judged().itertuples():
         claim, finding = row.claim, row.findings[0]
+        texts = grouped.setdefault(claim.title, [])
+        if np.isnan(finding.ours):
+            waiting.setdefault(claim.title, []).append(claim.body)
+            continue
         digits = claim.measures[0].digits
         ours = f"{finding.measure.name} {number(finding.ours, digits)}"
         if np.isfinite(finding.interval).all():
@@ -205,8 +210,9 @@ def verdicts() -> Table:
         if not np.isnan(finding.detectable):
             power = number(finding.detectable, digits)
             trials += f"; {row.planned} would find a difference of {power}"
-        text = f"**{claim.body} {row.verdict}:** {ours} ({trials})"
-        grouped.setdefault(claim.title, []).append(text)
+        texts.append(f"**{claim.body} {row.verdict}:** {ours} ({trials})")
+    for title, names in waiting.items():
+        grouped[title].append(f"**undecided, no value yet:** {', '.join(names)}")
     rows = [(title, "<br>".join(texts)) for title, texts in grouped.items()]
     caption = (
         "The paper's claims by the rules of the scorecard: for each body the verdict, the value"
