@@ -164,7 +164,7 @@ class AffineTransform(nn.Module):
 
 
 class AffineEnsemble(AffineTransform):
-    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w the softmax of a linear gate on g.
+    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w softmax of a linear gate on g.
 
     All maps start as the identity, and so does f, whatever the gate says. What lets them part is
     the gate's random first weights: each map counts in other states, and follows another gradient.

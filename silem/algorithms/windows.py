@@ -14,9 +14,8 @@ from gymnasium import spaces
 from gymnasium.wrappers import NormalizeObservation
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 
+from silem.envs.base import INFO_KEY
 from silem.util.errors import SilemError
-
-INFO_KEY = "skeletal_features"
 
 
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:

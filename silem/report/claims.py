@@ -331,8 +331,12 @@ def _slopes() -> tuple[Claim, ...]:
         angle = math.radians(bodies.get(body).slope_deg)
         offset = Measure(("silem", body), "b pitch", lower=0.5 * angle, upper=1.5 * angle)
         told += [
-            Claim("SILEM beats SILEM⁻", body, where,
-                  (_exceeds(("silem", body), ("silem-minus", body)),)),
+            Claim(
+                "SILEM beats SILEM⁻",
+                body,
+                where,
+                (_exceeds(("silem", body), ("silem-minus", body)),),
+            ),
             Claim("T's offset of pitch is the angle, within half of it", body, where, (offset,)),
         ]
     return tuple(told)

@@ -238,6 +238,17 @@ def test_which_gait_can_be_imitated(execute: Execute) -> None:
     assert "No video" in output(page, "video")
 
 
+def test_any_body_in_one_page(execute: Execute, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
+    monkeypatch.setattr(bodies, "_OWN", {})
+    page = execute("16_any_body", video_s=0.1, steps=512)
+    assert "hip angle" in words(output(page, "features"))
+    assert "silem_Quadruped_from_HC0_tiny_s0_" in words(output(page, "run"))
+    assert output(page, "transform").startswith("<svg")
+    assert "first actions" in output(page, "share")
+    assert "height" in words(output(page, "any-run"))
+
+
 def test_open_settings(execute: Execute) -> None:
     page = execute("08_open_settings")
     spoken = said(page)
