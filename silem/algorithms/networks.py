@@ -1,7 +1,5 @@
 """What learns beside policy and value function: discriminators, transforms, observation moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -116,14 +114,17 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first of the hidden layers is the encoder, the others are each head's.
-
-    Raises:
-        SilemError: If there is no hidden layer.
+    The first `encoder_layers` hidden layers are the encoder's, the rest are each head's. Raises
+    SilemError if there is no hidden layer.
     """
 
     def __init__(
-        self, n_features: int, window: int, hidden: Sequence[int], reversal_coef: float
+        self,
+        n_features: int,
+        window: int,
+        hidden: Sequence[int],
+        reversal_coef: float,
+        encoder_layers: int = 1,
     ) -> None:
         super().__init__()
         if not hidden:
@@ -132,6 +133,8 @@ class ThirdPersonDiscriminator(nn.Module):
         self.encoder = nn.Sequential(nn.Linear(n_features, hidden[0]), nn.Tanh())
         self.window_head = nn.Sequential(*_tanh_mlp(window * hidden[0], hidden[1:]))
         self.domain_head = nn.Sequential(*_tanh_mlp(hidden[0], hidden[1:]))
+        for _ in range(encoder_layers - 1):
+            self.encoder.extend([nn.Linear(hidden[0], hidden[0]), nn.Tanh()])
 
     def forward(self, windows: th.Tensor) -> th.Tensor:
         """Return ``disc_logits_expert_is_high`` (B,) of windows (B, W, F)."""
@@ -164,7 +167,7 @@ class AffineTransform(nn.Module):
 
 
 class AffineEnsemble(AffineTransform):
-    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w softmax of a linear gate on g.
+    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w = softmax of a linear gate on g.
 
     All maps start as the identity, and so does f, whatever the gate says. What lets them part is
     the gate's random first weights: each map counts in other states, and follows another gradient.
@@ -232,11 +235,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
     """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
 
     Being part of the policy, the moments are saved, loaded and used by ``predict`` with it. They
-    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy
-    that collects a rollout is the policy that is updated on it.
-
-    Raises:
-        SilemError: If the observation space is not a flat Box.
+    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy that
+    collects a rollout is the policy that is updated on it. Raises SilemError if the observation
+    space is not a flat Box.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:

@@ -1,7 +1,5 @@
 """SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -43,9 +41,8 @@ class SILEM(GAIfO):
         transform_l2_form: "deviation" penalises A - 1, "plain" A itself (see `l2_penalty`).
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an L2 term on, or several components of, another transform
-            than the affine one.
+    Raises SilemError as :class:`GAIfO`; an L2 term on, or several components of, another transform
+    than the affine one.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {

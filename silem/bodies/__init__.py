@@ -3,8 +3,6 @@
 Bodies of one's own are registered by modules that are named, or by installed packages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import importlib
@@ -85,9 +83,7 @@ def register(body: Body, replace: bool = False) -> Body:
     """Add a body to the registry, give it its Gymnasium id, and return it.
 
     Registering the same body again changes nothing. With `replace` it may take another's place.
-
-    Raises:
-        SilemError: If the name is another body's, or cannot be that of a file.
+    Raises SilemError if the name is another body's, or cannot be that of a file.
     """
     check_name("body", body.name)
     if body.name in _BODIES and not replace:
@@ -109,10 +105,8 @@ def get(name: str) -> Body:
 
     The id of a Gymnasium environment, such as "Pendulum-v1", is the name of what that moves. Some
     names describe a body: "HC-1.25" has a torso of 1.25 m, "HC0-slope-5" runs up a floor that rises
-    by 5 degrees. Each family's module says in `NAMED` which; `names` lists none of them.
-
-    Raises:
-        SilemError: If there is no such body; the message lists those there are.
+    by 5 degrees. Each family's module says in `NAMED` which; `names` lists none of them. Raises
+    SilemError if there is no such body; the message lists those there are.
     """
     if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
         try:
@@ -184,8 +178,7 @@ def describe(body: Body | str) -> dict[str, Any]:
         hinge, None where the model sets none; `root_joints`: those along which a planar root moves;
         `actuators`: torque in N m at action 1, by joint.
 
-    Raises:
-        SilemError: If there is no such body.
+    Raises SilemError if there is no such body.
     """
     from silem.bodies import measure  # which needs the simulators
 
@@ -195,8 +188,7 @@ def describe(body: Body | str) -> dict[str, Any]:
 def load(module: str) -> None:
     """Import a module that registers bodies of one's own, looked for in the working folder too.
 
-    Raises:
-        SilemError: It cannot be imported, whatever the reason.
+    Raises SilemError: it cannot be imported, whatever the reason.
     """
     global _loading
     if (here := os.getcwd()) not in sys.path:

@@ -1,7 +1,5 @@
 """Ant0 to Ant6: Ant with longer links next to its body (Figure 2c)."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model

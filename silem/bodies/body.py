@@ -1,7 +1,5 @@
 """What a body is: data only. How to build it, what moves, what is measured."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -81,16 +79,15 @@ class Body:
     #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     #: returns the body for other values of its parameters
-    variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
+    variants: "Callable[..., Body] | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}: {self.description}>"
 
-    def variant(self, **parameters: float) -> Body:
+    def variant(self, **parameters: float) -> "Body":
         """Return this body with other values of some of its parameters.
 
-        Raises:
-            SilemError: If it has no such parameter, or a value is not allowed.
+        Raises SilemError if it has no such parameter, or a value is not allowed.
         """
         for name in parameters:
             choose(f"parameter of body {self.name!r}", name, self.parameters)
@@ -107,6 +104,11 @@ class Body:
         """The direction against gravity, (x, y, z) in the floor's frame."""
         slope = math.radians(self.slope_deg)
         return math.sin(slope), 0.0, math.cos(slope)
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode can end before its last step."""
+        return True
 
     @property
     def action_size(self) -> int:
@@ -130,6 +132,11 @@ class BulletBody(Body):
     parts: tuple[Part, ...]  #: the points in the mean, the root first
     n_parts: int  #: number of parts in the mean
     alive: AliveRule
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode ends when the body is no longer upright."""
+        return self.alive.terminates
 
     @property
     def observation_size(self) -> int:
@@ -162,7 +169,7 @@ class Skeleton:
     axes: str = "xyz"  #: of the torso frame, those that point forward, left and up
 
     @classmethod
-    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> "Skeleton":
         """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
         sided = {
             f"{side}_{point}": prefix + name
@@ -190,7 +197,7 @@ class MujocoBody(Body):
     fall_head_m: float  #: height of the head below which an episode ends
     target_speed_m_s: float  #: of the centre of mass, what earns the full reward
     #: returns the bodies of E environments, where each has one of its own in this one's place
-    each: Callable[[int], Sequence[MujocoBody]] | None = field(
+    each: Callable[[int], Sequence["MujocoBody"]] | None = field(
         default=None, repr=False, compare=False
     )
 
@@ -233,9 +240,8 @@ def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[floa
         file: The file's name.
         edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
 
-    Raises:
-        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
-            attribute, or there is more than one.
+    Raises SilemError if the installed `pybullet_data` lacks the file, there is no such element or
+    attribute, or there is more than one.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")

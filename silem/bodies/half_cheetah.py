@@ -1,7 +1,5 @@
 """HC0, HC1 and HC2: HalfCheetah with a torso of length 1, 2 and 3 (Figure 2a)."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 

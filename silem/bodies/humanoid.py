@@ -3,8 +3,6 @@
 HumanoidR has a long right and a short left arm. Atlas has a module of its own.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
@@ -119,7 +117,7 @@ NAMED = {"Humanoid-arm-#": one_arm, "Humanoid-arm-#-#": arms}
 """Bodies that are named by numbers in the place of #: factors on the right arm."""
 
 
-def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def placed(compiled: "mujoco.MjModel", qpos: np.ndarray) -> "mujoco.MjData":
     """Return a model's data in a pose."""
     import mujoco
 
@@ -129,7 +127,9 @@ def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     return data
 
 
-def common(compiled: mujoco.MjModel, skeleton: Skeleton, standing_head_m: float) -> dict[str, Any]:
+def common(
+    compiled: "mujoco.MjModel", skeleton: Skeleton, standing_head_m: float
+) -> dict[str, Any]:
     """Return what is the same for all humanoids, or found in the same way in their models."""
     across = math.cos(_ELEVATION_RAD)
     direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))

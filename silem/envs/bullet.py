@@ -6,8 +6,6 @@ What runs after every step is plain Python: at a few dozen numbers that is twice
 NumPy's calls, whose code the simulator has pushed out of the processor's caches.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import weakref
@@ -69,8 +67,7 @@ class Client:
         advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
             for one control step.
 
-    Raises:
-        SilemError: If PyBullet has no client left or cannot load the body.
+    Raises SilemError if PyBullet has no client left or cannot load the body.
     """
 
     def __init__(self, body: BulletBody) -> None:

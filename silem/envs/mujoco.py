@@ -4,8 +4,6 @@ The only change to dm_control's task is the speed that earns the full reward: th
 which the paper's reward asks to be matched (Figure 3b), in place of 1 m/s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,7 +16,7 @@ from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import base
 from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
-from silem.util.errors import COUNT, RATE, SilemError, check_numbers
+from silem.util.errors import COUNT, RATE, SilemError
 
 JOINT_NOISE_RAD = 0.02  # hinges start within +- this of the standing pose
 VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and rad/s
@@ -99,12 +97,11 @@ class Simulation(base.Simulation):
     ) -> None:
         """Prepare the states; the options are those of `silem.envs.make_vec`.
 
-        Raises:
-            SilemError: If an option is not allowed.
+        Raises SilemError if an option is not allowed.
         """
         speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
-        options = {"n_threads": n_threads, "speed_m_s": speed_m_s}
-        check_numbers(options, {"n_threads": COUNT, "speed_m_s": RATE})
+        COUNT.check("n_threads", n_threads)
+        RATE.check("speed_m_s", speed_m_s)
         self.body, self._speed_m_s, self._starts = body, speed_m_s, starts
         size = 2 * body.action_size + len(_OBSERVED) + 3 + 6
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)

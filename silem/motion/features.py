@@ -4,8 +4,6 @@ The demonstrator and every learner have their own g, because their models name a
 parts differently; all compute the same quantities in the same order, from the same landmarks.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import mujoco
@@ -56,8 +54,7 @@ the two segments that meet there, pi when the limb is straight."""
 class Landmarks:
     """Where a model's landmarks are found in its data: the numbers of its bodies.
 
-    Raises:
-        SilemError: If the model lacks one of the skeleton's bodies.
+    Raises SilemError if the model lacks one of the skeleton's bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, skeleton: Skeleton) -> None:

@@ -31,6 +31,7 @@ _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
 _ACCURACY = "disc_acc_expert"
 _ALWAYS = ("return_mean", "speed_m_s")
+_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 _ONE_RUN = {
     "return_mean": "return of an episode",
     "episode_length": "steps before a fall",
@@ -48,13 +49,13 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band their minimum and maximum, both after a
     running mean, up to where the shortest ends; runs of another number of iterations than planned
-    are dashed. Experts have no row for the discriminator, humanoids one for steps before a fall.
+    are dashed. Experts have no row for the discriminator; bodies that fall have one for when.
     """
     frame = scores.runs_of("learning_curves", frame)
     names = results.body_names(frame)
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
     left_out = {"disc_reward"} if drawn == ["ppo"] else set()  # whose panels would all be empty
-    left_out |= {"episode_length"} if bodies.get(names[0]).family != "humanoid" else set()
+    left_out |= set() if results.can_fall(frame) else {"episode_length"}
     quantities = [name for name in QUANTITIES if name not in left_out]
     figure, grid = style.new_figure(
         2.0 * len(quantities), nrows=len(quantities), ncols=len(names), sharex="col",
@@ -62,6 +63,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     )  # fmt: skip
     for column, body in zip(grid.T, names, strict=True):
         _draw_body(dict(zip(quantities, column, strict=True)), frame, drawn, body)
+    for axes in grid[-1] if len(names) < 5 else grid[-1, len(names) // 2 :][:1]:
+        axes.set_xlabel("million timesteps")
     for row, quantity in zip(grid, quantities, strict=True):
         row[0].set_ylabel(QUANTITIES[quantity][0])
         if not any(axes.lines for axes in row):
@@ -77,6 +80,17 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     several = " to ".join(dict.fromkeys(str(n) for n in (counts.min(), counts.max())))
     scores.footer(figure, frame, f"trials per curve: {several if len(counts) else 0}")
     return figure
+
+
+def rises(frame: pd.DataFrame) -> list[bool]:
+    """Tell of each run whether its return rose: the last tenth of its curve over the one before."""
+    found = []
+    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
+        values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
+        n = max(1, round(_TAIL * len(values)))
+        if len(values) >= 2 * n:
+            found.append(bool(values[-n:].mean() > values[-2 * n : -n].mean()))
+    return found
 
 
 @style.applied()
@@ -120,7 +134,7 @@ def of_run(record: RunRecord) -> Figure:
     """Draw one run's curve: the first four quantities that it knows, of a humanoid six."""
     curve = pd.DataFrame(files.read_csv(record.file(CURVE))).reindex(columns=CURVE_COLUMNS)
     known = {name for name in curve if curve[name].notna().any()}
-    if bodies.get(record.config["body"]).engine == "bullet":  # nobody falls
+    if not bodies.get(record.config["body"]).can_fall:
         known.discard("episode_length")
     shown = [name for name in _ONE_RUN if name in _ALWAYS or name in known]
     panels = {name: _ONE_RUN[name] for name in shown[: 6 if "episode_length" in known else 4]}
@@ -193,7 +207,6 @@ def _draw_body(
             _draw_mean(axes, planned, quantity, method, lw=1.5)
     first, *_, last = panels.values()
     first.set_title(body)
-    last.set_xlabel("million timesteps")
     for axes in panels.values():
         axes.margins(x=0.01)
         axes.xaxis.set_major_locator(MaxNLocator(4))

@@ -20,6 +20,7 @@ from silem.util.paths import REPO
 
 STUDIES = {
     "halfcheetah": "HalfCheetah, Figure 2b and Table 1",
+    "ant": "Ants, Figure 2d",
     "humanoids": "Humanoids, Figures 3b, 4a and 4b",
 }
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]

@@ -20,7 +20,7 @@ from IPython.display import HTML
 
 from silem import bodies
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
@@ -32,9 +32,9 @@ from silem.util.errors import SilemError, choose
 _KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ["return_mean", "speed_m_s", "upright"]
 COLUMNS = [
-    *_KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
-    "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns",
-    "folder", "expert_return", "normalised",
+    *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations",
+    "planned_iterations", "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit",
+    "dirty", "returns", "folder", "expert_return", "normalised",
 ]  # fmt: skip
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
@@ -44,27 +44,31 @@ PAPER_LOSS = {
 _WITHOUT_D = ("ppo", "random")
 
 
-def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
+def load_records(
+    study: str = "halfcheetah", budget: str = "book", n_iterations: int = 0, **which: Any
+) -> pd.DataFrame:
     """Load a study's finished runs at one budget, one row per run; SilemError for a broken record.
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
     policy counts once per body, because every evaluation meets the same episodes. The longest run
     that differs from a missing one in its number of iterations alone stands in for it
-    (``stand_in``); `cell` leaves it out.
+    (``stand_in``); `cell` leaves it out. A search, STUDY/BODY/METHOD, is a study too: `which` is
+    what else `study_configs` takes, and `n_iterations`, if not 0, stands for the budget's.
 
     Returns:
         `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
         ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
-        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
-        episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
-        dicts) and ``set_aside`` (run ids).
+        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` and ``steps``
+        (NaN where a record does not say) are of an episode. ``attrs`` holds ``study``, ``budget``,
+        ``missing`` (what was planned, a list of dicts) and ``set_aside`` (run ids).
     """
     choose("budget", budget, BUDGETS)
-    plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]
+    plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
-    for record in _records(study, budget):
+    for record in _records(cells(study)[0].study, budget):
         config = record.run_config()
         if _is_copy(config):
             continue
@@ -73,7 +77,8 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         else:
             set_aside.append(record.run_id)
     found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
-    found = found.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    kinds = {"stand_in": bool} | dict.fromkeys(("disc_reward", "steps", "processor_time_s"), float)
+    found = found.astype(kinds)
     # of each plan the run that was planned, else the longest
     found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
     frame = found.drop_duplicates("plan")
@@ -100,7 +105,7 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
-    """Yield the valid records of a study at a budget, each once: published ones where both are."""
+    """Yield the valid records in a study's folder at a budget, each once: published ones first."""
     folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
     folders.append(paths.results_dir(study))
     found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
@@ -132,6 +137,7 @@ def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any
         "plan": plan.run_id,
         **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
+        "steps": evaluation.get("steps_mean", np.nan),
         "disc_reward": evaluation["disc_reward_mean"],
         "n_iterations": config.budget.n_iterations,
         "planned_iterations": plan.budget.n_iterations,
@@ -225,7 +231,9 @@ def trace(frame: pd.DataFrame) -> HTML:
 
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
-    where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
+    folder = cells(study)[0].study
+    kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
+    where = f"records in data/results/{folder}" if kept else "local runs"
     missing = frame.attrs["missing"]
     set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
     folded = {
@@ -267,6 +275,11 @@ def original_body(frame: pd.DataFrame) -> str:
     """Return the body whose expert demonstrates to the others, e.g. HC0; "" where a human does."""
     demonstrator = FAMILIES[bodies.get(body_names(frame)[0]).family].original
     return demonstrator if demonstrator in bodies.names() else ""
+
+
+def can_fall(frame: pd.DataFrame) -> bool:
+    """Tell whether episodes of a table's bodies can end early."""
+    return bodies.get(body_names(frame)[0]).can_fall
 
 
 def upright_label(frame: pd.DataFrame) -> str:

@@ -28,7 +28,7 @@ INTERVAL_TRIALS = 5
 
 OTHER_LENGTH = "shorter or longer run"
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
-"""The groups of Figure 2b, in the paper's order."""
+"""The groups of Figures 2b and 2d, in the paper's order."""
 
 COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 """The methods of Figure 3b."""
@@ -36,6 +36,7 @@ COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "normalised_scores": (("ppo", *IMITATORS), None),
+    "figure_2d": (("ppo", *IMITATORS, "random"), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
@@ -88,28 +89,49 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
     Left, as in the paper, the normalised scores, right the forward speed of the same trials and of
     the experts: where the expert only stands, a score of 1 is standing.
     """
-    frame = runs_of("normalised_scores", frame)
-    everyone, level = [*IMITATORS, "ppo"], paper.number("expert_level")
-    figure, (left, right) = style.new_figure(3.9, ncols=2)
-    left.set(title="Score: minimum, mean, maximum over trials")
-    right.set(title="Forward speed (m/s)")
-    left.axhline(level, **_MEAN)
+    figure, panels = style.new_figure(3.9, ncols=2)
+    return _draw_scores(figure, panels, runs_of("normalised_scores", frame))
+
+
+@style.applied()
+def figure_2d(frame: pd.DataFrame) -> Figure:
+    """Draw Figure 2d: the Ants' scores, and below them their speed, and the steps before a fall."""
+    figure, panels = style.new_figure(7.2, nrows=3)
+    return _draw_scores(figure, panels, runs_of("figure_2d", frame), ("random",))
+
+
+def _draw_scores(
+    figure: Figure, panels: Sequence[Axes], frame: pd.DataFrame, low: tuple[str, ...] = ()
+) -> Figure:
+    """Draw scores in the first panel, speed in the second, steps of an episode in a third."""
+    everyone, level = [*IMITATORS, "ppo", *low], paper.number("expert_level")
+    titles = {
+        "normalised": "Score: minimum, mean, maximum over trials",
+        "speed_m_s": "Forward speed (m/s)",
+        "steps": "Steps of an episode, at most 1,000",
+    }
+    panels[0].axhline(level, **_MEAN)
     for index, body in enumerate(results.body_names(frame)):
         best = results.scores(frame, "ppo", body).max(initial=level)
         if best > level:
-            left.plot([index - 0.44, index + 0.44], [best, best], **_BEST)
-    _body_ticks(left, frame, scale="experts")
-    _body_ticks(right, frame)
-    panels = (left, "normalised", IMITATORS), (right, "speed_m_s", everyone)
-    for axes, column, shown in panels:
-        _draw_cells(axes, frame, shown, column, counts=True)
-        _room_for_counts(axes, 0.0, 1.05)
+            panels[0].plot([index - 0.44, index + 0.44], [best, best], **_BEST)
+    for axes, (column, title) in zip(panels, titles.items(), strict=False):
+        first = column == "normalised"
+        axes.set(title=title)
+        _body_ticks(axes, frame, scale="experts" if first else "")
+        _draw_cells(axes, frame, (*IMITATORS, *low) if first else everyone, column, counts=not low)
+        _room_for_counts(axes, 0.0, 1040.0 if column == "steps" else 1.05)
     original = results.original_body(frame)
     handles = style.marks(style.method(method, original) for method in everyone)
     handles.append(style.handle(label="mean of the body's experts", **_MEAN))
     handles.append(style.handle(label="the best of them, the demonstrator", **_BEST))
     figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    footer(figure, frame, _interval_note(frame, everyone, "speed_m_s"))
+    note = _interval_note(frame, everyone, "speed_m_s")
+    if low:
+        panels[-1].yaxis.set_major_formatter("{x:,.0f}")
+        counts = [len(results.cell(frame, m, b)) for _, m, b in _places(frame, everyone[:-1])]
+        note = f"trials of a cell: {min(counts)} to {max(counts)}; {note}"
+    footer(figure, frame, note)
     return figure
 
 

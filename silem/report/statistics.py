@@ -53,6 +53,17 @@ def _error(*cells: np.ndarray, n_trials: int | None = None) -> tuple[float, floa
     return variance**0.5, freedom
 
 
+def rank_correlation(x: ArrayLike, y: ArrayLike) -> tuple[float, float, float]:
+    """Return Spearman's correlation of N pairs with the ends of its 95 % interval.
+
+    The interval is Fisher's, with the variance of Bonett and Wright (2000); it takes four pairs.
+    """
+    rho, n = float(stats.spearmanr(x, y).statistic), len(np.asarray(x))
+    half = stats.norm.ppf((1 + LEVEL) / 2) * ((1 + rho**2 / 2) / (n - 3)) ** 0.5
+    low, high = np.tanh(np.arctanh(np.clip(rho, -1 + 1e-9, 1 - 1e-9)) + np.array([-half, half]))
+    return rho, float(low), float(high)
+
+
 def wins(first: ArrayLike, second: ArrayLike) -> float:
     """Return the share of pairs in which `first` beats `second`, half for a tie; NaN for none."""
     one, two = np.asarray(first), np.asarray(second)

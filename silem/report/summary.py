@@ -33,9 +33,6 @@ from silem.study.studies import STUDIES, study_configs
 from silem.util import files, paths
 from silem.util.errors import choose
 
-JUDGED = ("halfcheetah", "humanoids")
-"""The studies that the paper's claims are about."""
-
 _COLUMNS = ("run_id", "study", "family", "cell", "method", "steps", "hours", "processor_hours",
             "speed", "processor", "date")  # fmt: skip
 _HOURS = ("Hours by the clock", "Hours of a processor (runs that counted)")
@@ -177,7 +174,7 @@ def _published() -> dict[str, str]:
 @cache
 def judged() -> pd.DataFrame:
     """Return every claim with what this book's runs say, of all studies that are judged."""
-    frames = {study: results.load_records(study, "book") for study in JUDGED}
+    frames = {study: results.load_records(study, "book") for study in claims.CLAIMS}
     return pd.concat(
         [
             claims.evaluate(frame).assign(study=study, planned=results.n_trials(frame))

@@ -105,14 +105,14 @@ def by_feature(frame: pd.DataFrame) -> Figure:
         handles.append(style.handle(label=label, ms=7, mec="white", **look))
         for entry, axes in panels.items():
             values = _values(rows, entry)
-            places = np.arange(values.shape[1]) + (index - (len(names) - 1) / 2) * 0.26
+            places = np.arange(values.shape[1]) + (index - (len(names) - 1) / 2) * 0.78 / len(names)
             for trial in values if len(values) > 1 else ():
                 axes.plot(trial, places, ms=2.5, alpha=0.45, mec="none", **look)
             if len(values):
                 axes.plot(values.mean(axis=0), places, ms=5, mec="white", mew=0.5, **look)
     for axes in panels.values() if frame.empty else ():
         style.say(axes, "no run")
-    figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(names), 4))
     scores.footer(figure, frame)
     return figure
 

@@ -176,7 +176,7 @@ def links(frame: pd.DataFrame) -> str:
 
     The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
     """
-    name = frame.attrs.get("figure", f"{frame.attrs['study']}_runs")
+    name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
     data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
     counted = frame["processor_time_s"].dropna()
     hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"

@@ -1,7 +1,5 @@
 """A body's demonstrator, by a rule, its recording as what imitators learn from, and its gait."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Runs: started, resumed or looked up by their configuration, and recorded once finished."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -267,7 +265,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
-    if config.budget.is_evidence:
+    if config.is_published:
         published = paths.results_dir(config.study) / config.run_id
         for name in names:
             files.write_bytes(published / name, (folder / name).read_bytes())
@@ -276,7 +274,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     return record
 
 
-def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> list[str]:
+def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> list[str]:
     """Write what a training leaves, and return the files' names."""
     from silem.algorithms import SILEM
     from silem.algorithms.networks import AffineEnsemble, AffineTransform

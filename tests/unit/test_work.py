@@ -27,6 +27,7 @@ from silem.study.studies import (
     TORSOS,
     TRIAL_SEEDS,
     cells,
+    fresh_configs,
     ranking,
     study_configs,
 )
@@ -141,6 +142,40 @@ def test_a_search_is_ranked_by_the_mean_over_its_trials() -> None:
     assert [entry.is_papers for entry in found] == [True, False, False]
     assert [entry.score for entry in found] == sorted([e.score for e in found], reverse=True)
     assert found[0].run_ids == (configs[0].run_id, configs[4].run_id)
+
+
+def test_a_searchs_winner_is_run_again_on_seeds_that_have_not_chosen_it() -> None:
+    search, budget = "halfcheetah/HC2/silem-minus", "quick"
+    configs = study_configs(search, budget, 2, 3)
+    for config, value in zip(configs, [100, 500, 300, 900, 700, 200], strict=True):
+        with pytest.raises(SilemError, match=r"the winner of .* is not known yet: "):
+            fresh_configs(search, budget, 2, 3)
+        synthetic.write_record(config, value)
+    fresh = fresh_configs(search, budget, 2, 3)  # the second has the highest mean
+    assert [c.seed for c in fresh] == [102, 102, 103, 103, 104, 104]
+    assert {c.hyper for c in fresh} == {configs[0].hyper, configs[1].hyper}
+    assert not {c.run_id for c in fresh} & {c.run_id for c in configs}
+    for config in fresh:
+        synthetic.write_record(config, 0 if config.hyper == configs[1].hyper else 400)
+    winner, supplements, _ = ranking(search, budget, 2, 3)
+    assert [round(value, -2) for value in (*winner.returns, *winner.fresh)] == [500, 700, 0, 0, 0]
+    assert supplements.is_papers and len(supplements.fresh) == 3
+    with pytest.raises(SilemError, match="has no fresh seeds: its 5 trials have used all"):
+        for config in study_configs(search, budget, 5, 1):
+            synthetic.write_record(config, 1.0)
+        fresh_configs(search, budget, 5, 1)
+    everything = fresh_configs(search, budget, 2, 1)  # the winner is the supplement's
+    assert len(everything) == 3
+
+
+def test_a_searchs_records_are_published_and_no_other_of_a_small_budget() -> None:
+    (searched,) = study_configs("ant/Ant3/silem", "quick", 1, 1)
+    assert searched.is_published and RunConfig.create("HC0", "ppo", budget="book").is_published
+    for config in (
+        RunConfig.create("HC0", "ppo", budget="quick"),
+        study_configs("ant/Ant3/silem", "tiny", 1, 1)[0],
+    ):
+        assert not config.is_published
 
 
 def publish(content: bytes) -> None:

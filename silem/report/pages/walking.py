@@ -16,7 +16,7 @@ from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
-from silem.report.curves import QUANTITIES
+from silem.report.curves import QUANTITIES, rises
 from silem.report.style import number
 
 FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
@@ -26,7 +26,6 @@ WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
 STANDS, FALLS = "stands", "falls"
 
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
-_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
 _SIZE = 320, 300  # pixels of a picture in the strip
@@ -88,7 +87,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     """Return what the page says about a study: numbers and texts by name."""
     found = gaits(frame)
     counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
-    rising = _rises(frame)
+    rising = rises(frame)
     said: dict[str, str | float] = {"n_cells": len(found)}
     said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": style.DASH}
     said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
@@ -158,17 +157,6 @@ def _just_before(curve: pd.DataFrame, share: float) -> pd.Series:
     """Return a curve's means over the last few of the iterations up to a share of them."""
     total = curve["iteration"].max()
     return curve[curve["iteration"].between((share - _SPAN) * total, share * total)].mean()
-
-
-def _rises(frame: pd.DataFrame) -> list[bool]:
-    """Tell of each run whether its return rose: the last tenth of its curve over the one before."""
-    rises = []
-    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
-        values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
-        n = max(1, round(_TAIL * len(values)))
-        if len(values) >= 2 * n:
-            rises.append(bool(values[-n:].mean() > values[-2 * n : -n].mean()))
-    return rises
 
 
 def _whole(value: float) -> float:
