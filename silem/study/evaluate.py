@@ -12,9 +12,10 @@ from tqdm import tqdm
 
 from silem import algorithms, bodies
 from silem.algorithms.gaifo import GAIfO
-from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
+from silem.algorithms.windows import LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
+from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
 from silem.study.record import POLICY, RunRecord
 from silem.study.training import unclipped

@@ -249,6 +249,20 @@ def test_any_body_in_one_page(execute: Execute, monkeypatch: pytest.MonkeyPatch)
     assert "height" in words(output(page, "any-run"))
 
 
+def test_beyond_the_paper(execute: Execute) -> None:
+    page = execute("17_beyond")
+    assert glue_roles(page) <= said(page).keys()
+    for cell_id in ("ladder", "ladder-T", "ladder-ant", "slope", "slope-T", "slope-humanoid"):
+        assert output(page, cell_id).startswith("<svg")
+    assert words(output(page, "half")).count("–") == 18  # not every torso has been run
+    assert "planned runs that are not made yet (82)" in words(output(page, "ladder-runs"))
+    verdicts = words(output(page, "slope-verdict"))
+    assert all(claim.text in verdicts for claim in claims.of("slope"))
+    assert verdicts.count("undecided") == len(claims.of("slope"))
+    assert "HC0 affine, K = 1 5 trials" in words(output(page, "ensembles"))
+    assert "no run" in words(output(page, "arms"))
+
+
 def test_open_settings(execute: Execute) -> None:
     page = execute("08_open_settings")
     spoken = said(page)

@@ -17,17 +17,18 @@ from silem.util import seeding
 
 BOTH = ("silem", "silem-minus")
 LOSING, OWN = (*BOTH, "tpil"), "silem-minus-own"
+LADDER = (*LOSING, OWN)
 ARMS = (0.5, 0.75, 1.0, 1.25, 1.5)
 RESAMPLES = 1000
 _LOST = 0.5  # of the own-expert level
 
 
-def runs(study: str, others: Mapping[str, Sequence[str]], budget: str = "book") -> pd.DataFrame:
-    """Load a study's runs, and what it shares with others: theirs of some bodies."""
+def runs(
+    study: str, others: Mapping[str, Sequence[str]], methods: Sequence[str], budget: str
+) -> pd.DataFrame:
+    """Load a study's runs, and what it shares with others: some methods' on some bodies."""
     frames = [results.load_records(study, budget)]
-    for name, shared in others.items():
-        theirs = results.load_records(name, budget)
-        methods = (*LOSING, OWN, "silem-mlp")
+    for theirs, shared in ((results.load_records(o, budget), b) for o, b in others.items()):
         frames.append(results.select(theirs, methods, shared, with_stand_ins=False))
     frame = pd.concat([found for found in frames if len(found)] or frames[:1], ignore_index=True)
     missing = [run for found in frames for run in found.attrs["missing"]]
@@ -44,11 +45,12 @@ def ladder(frame: pd.DataFrame, lengths: Mapping[str, float], label: str) -> Fig
     level = frame["body"].map(own.where(own > 0)).astype(float)
     frame = frame.assign(share=frame["return_mean"] / level)
     columns = {"share": "Return over SILEM⁻'s, own expert", "speed_m_s": "Forward speed (m/s)"}
-    figure = scores.against(frame, lengths, label, columns, (*LOSING, OWN))
+    figure = scores.against(frame, lengths, label, columns, LADDER)
     axes = figure.axes[0]
     axes.axhline(_LOST, color=style.MUTED, lw=1, ls=style.DASHED)
-    for method, found in half_points(frame, lengths)["return"].iterrows():
-        color = style.method(str(method)).color
+    points = half_points(frame, lengths)["return"].to_dict("records")
+    for method, found in zip(LOSING, points, strict=True):
+        color = style.method(method).color
         ends = np.minimum([found["from"], found["to"]], max(lengths.values()))
         axes.plot(ends, [_LOST] * 2, color=color, lw=6, alpha=0.4)
         axes.plot([found["half lost at"]], [_LOST], "|", color=color, ms=14, mew=2)
@@ -63,8 +65,8 @@ def half_points(frame: pd.DataFrame, lengths: Mapping[str, float]) -> pd.DataFra
     below one half counts: infinite without one, NaN as long as a body has no run. The interval is
     of percentiles of a bootstrap over trials, those of every cell drawn anew: rough with two.
     """
-    places, table = sorted(lengths, key=lambda body: lengths[body]), {}
-    at, names = [lengths[body] for body in places], ("half lost at", "from", "to")
+    places, names = sorted(lengths, key=lambda b: lengths[b]), ("half lost at", "from", "to")
+    at, table = [lengths[body] for body in places], pd.DataFrame(index=[*LOSING], dtype=float)
     for what, column in (("return", "return_mean"), ("speed", "speed_m_s")):
         for method in LOSING:
             cells = [[results.scores(frame, m, b, column) for b in places] for m in (method, OWN)]
@@ -75,9 +77,10 @@ def half_points(frame: pd.DataFrame, lengths: Mapping[str, float]) -> pd.DataFra
                     drawn = [[generator.choice(v, len(v)) for v in side] for side in cells]
                     found.append(_half(at, *drawn))
                 row = [_half(at, *cells), *np.quantile(found, (0.025, 0.975), method="nearest")]
-            for name, value in zip(names, row, strict=True):
-                table.setdefault((what, name), {})[method] = value
-    return pd.DataFrame(table).rename_axis("method")
+            table.loc[method, [(what, name) for name in names]] = row
+    table.columns = pd.MultiIndex.from_tuples(table.columns)
+    table.index = pd.Index([style.method(m, "", short=True).label for m in LOSING], name="method")
+    return table
 
 
 def _half(at: Sequence[float], ours: Sequence[np.ndarray], own: Sequence[np.ndarray]) -> float:
@@ -109,7 +112,6 @@ def ensembles(frame: pd.DataFrame) -> pd.DataFrame:
 
 def arms(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
     """Return what SILEM's policies return on right arms of several lengths, a row per run."""
-    frame = frame[frame["method"].eq("silem")]
     rows = {"no run": dict.fromkeys(ARMS, np.nan)} if frame.empty else {}
     for record in map(results.find, frame["run_id"]):
         config, policy, row = record.run_config(), load_policy(record), {}

@@ -162,7 +162,7 @@ def scales(results: Sequence[IKResult], frame: pd.DataFrame) -> pd.DataFrame:
     That is: a learner's limbs over the man's; 1 / a, the mean over SILEM's runs and the three axes,
     since A makes the man's of the learner's positions; what a retargeting tool has in its tables.
     """
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for result in results:
         arms_and_legs = result.ratios.left_arm, result.ratios.right_arm, result.ratios.leg
         rows.append((result.body, "its limbs over the man's", *arms_and_legs))
