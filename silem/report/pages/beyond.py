@@ -4,13 +4,13 @@ Everywhere `frame` is a table of `runs`. Where no run is made, figures and table
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from silem.report import results, scores, style
-from silem.report.style import number
 from silem.study.evaluate import evaluate, load_policy
 from silem.study.training import task_options
 from silem.util import seeding
@@ -21,6 +21,7 @@ LADDER = (*LOSING, OWN)
 ARMS = (0.5, 0.75, 1.0, 1.25, 1.5)
 RESAMPLES = 1000
 _LOST = 0.5  # of the own-expert level
+_LEVELS = {"return": "return_mean", "speed": "speed_m_s"}
 
 
 def runs(
@@ -66,21 +67,20 @@ def half_points(frame: pd.DataFrame, lengths: Mapping[str, float]) -> pd.DataFra
     of percentiles of a bootstrap over trials, those of every cell drawn anew: rough with two.
     """
     places, names = sorted(lengths, key=lambda b: lengths[b]), ("half lost at", "from", "to")
-    at, table = [lengths[body] for body in places], pd.DataFrame(index=[*LOSING], dtype=float)
-    for what, column in (("return", "return_mean"), ("speed", "speed_m_s")):
-        for method in LOSING:
-            cells = [[results.scores(frame, m, b, column) for b in places] for m in (method, OWN)]
-            row, generator = [np.nan] * 3, seeding.generator(0, "half", method, column)
-            if all(len(values) for side in cells for values in side):
-                found = []
-                for _ in range(RESAMPLES):
-                    drawn = [[generator.choice(v, len(v)) for v in side] for side in cells]
-                    found.append(_half(at, *drawn))
-                row = [_half(at, *cells), *np.quantile(found, (0.025, 0.975), method="nearest")]
-            table.loc[method, [(what, name) for name in names]] = row
-    table.columns = pd.MultiIndex.from_tuples(table.columns)
-    table.index = pd.Index([style.method(m, "", short=True).label for m in LOSING], name="method")
-    return table
+    at: list[float] = [lengths[body] for body in places]
+    rows: dict[str, dict[tuple[str, str], float]] = {}
+    for method, (what, column) in product(LOSING, _LEVELS.items()):
+        cells = [[results.scores(frame, m, b, column) for b in places] for m in (method, OWN)]
+        found, generator = [np.nan] * 3, seeding.generator(0, "half", method, column)
+        if all(len(values) for side in cells for values in side):
+            drawn = [
+                _half(at, *([generator.choice(v, len(v)) for v in side] for side in cells))
+                for _ in range(RESAMPLES)
+            ]
+            found = [_half(at, *cells), *np.quantile(drawn, (0.025, 0.975), method="nearest")]
+        row = rows.setdefault(style.method(method, "", short=True).label, {})
+        row |= {(what, name): value for name, value in zip(names, found, strict=True)}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
 
 
 def _half(at: Sequence[float], ours: Sequence[np.ndarray], own: Sequence[np.ndarray]) -> float:
@@ -91,23 +91,6 @@ def _half(at: Sequence[float], ours: Sequence[np.ndarray], own: Sequence[np.ndar
         return np.inf if i is None else at[0]
     share = (ratios[i - 1] - _LOST) / (ratios[i - 1] - ratios[i])
     return at[i - 1] + share * (at[i] - at[i - 1])
-
-
-def ensembles(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return, as text, Table 1 for K affine maps and the MLP: a row per body and f."""
-    counts = [results.find(run).run_config().hyper.transform_components for run in frame["run_id"]]
-    frame, rows = frame.assign(count=counts), []
-    for body in ("HC0", "HC2", "Ant6"):
-        kinds = [("silem", count) for count in (1, 2, 4, 8)] + [("silem-mlp", 1)] * (body == "HC0")
-        for method, count in kinds:
-            found = results.cell(frame[frame["count"].eq(count)], method, body)
-            row = {"body": body, "f": "MLP" if "mlp" in method else f"affine, K = {count}"}
-            row["trials"] = style.trials(len(found))
-            for name, column in (("reward of D", "disc_reward"), ("return", "return_mean")):
-                row[name] = number(found[column].mean())
-                row[f"{name}, least"] = number(found[column].min())
-            rows.append(row | {"speed (m/s)": number(found["speed_m_s"].mean(), 2)})
-    return pd.DataFrame(rows)
 
 
 def arms(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
