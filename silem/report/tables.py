@@ -90,14 +90,6 @@ def coverages(counts: Sequence[int] = (2, 3, 5)) -> Styler:
     return styled(pd.DataFrame(rows), "True coverage of a 95 % interval of the mean")
 
 
-def _lasts(frame: pd.DataFrame, runs: pd.DataFrame) -> dict[str, str]:
-    """Return the columns that say how long some runs stay up: Ants' episodes end, others do not."""
-    if results.can_fall(frame) and results.original_body(frame):
-        return {"steps": _mean(runs["steps"], spread=True)}
-    label = results.upright_label(frame).removeprefix("share of ")
-    return {label: _mean(100 * runs["upright"], 0, " %")}
-
-
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and time.
 
@@ -105,6 +97,8 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     Runs of another number of iterations than planned stand in rows of their own.
     """
     rows, original = [], results.original_body(frame)
+    falls = results.can_fall(frame) and original != ""  # an Ant's steps; a humanoid's are a share
+    upright = results.upright_label(frame).removeprefix("share of ")
     for body in results.body_names(frame):
         for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
             label = style.method(method, original).label
@@ -119,10 +113,11 @@ def cell_table(frame: pd.DataFrame) -> Styler:
                     "method": words,
                     "trials": len(runs),
                     "return": _mean(runs["return_mean"], spread=True),
+                    **({"steps": _mean(runs["steps"], spread=True)} if falls else {}),
                     "score": _mean(runs["normalised"], 2, spread=True),
                     "score, best expert": _mean(best if words == label else [], 2),
                     "speed (m/s)": _mean(runs["speed_m_s"], 2),
-                    **_lasts(frame, runs),
+                    **({} if falls else {upright: _mean(100 * runs["upright"], 0, " %")}),
                     "discriminator reward": _mean(runs["disc_reward"]),
                     "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
                 }
