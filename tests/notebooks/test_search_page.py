@@ -27,8 +27,8 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
             synthetic.write_record(config, 12800 / config.hyper.minibatch_size + lucky)
         for config in fresh_configs(DONE, "quick", 2, N):
             synthetic.write_record(config, 12800 / config.hyper.minibatch_size)
-        for config in study_configs(BEGUN, "quick", 2, N)[: N + 2]:
-            synthetic.write_record(config, 500.0)
+        for i, config in enumerate(study_configs(BEGUN, "quick", 2, N)[: N + 2]):
+            synthetic.write_record(config, 500.0 + 20 * i)
     return folder
 
 
@@ -48,7 +48,8 @@ def test_search(execute: Execute) -> None:
     page = execute(NAME, sample=N)
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
-    assert (spoken["n_grid_HC2"], spoken["n_iterations"]) == ("240", "60")
+    assert [spoken[f"n_grid_{body}"] for body in ("HC2", "Ant3")] == ["64", "240"]
+    assert spoken["n_iterations"] == "60"
     first, *others = ranking(DONE, "quick", 2, N)
     table = words(output(page, "hc2-ranking"))
     assert f"{first.score:,.0f} " in table and table.count("(supplement)") == 1

@@ -116,6 +116,7 @@ def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
         axes.set_title(f"{name.replace('_', ' ')} ({_SYMBOLS[name]})" if name else title)
         if not values:
             style.say(axes, "not run yet")
+            axes.set_yticks([])
     grid[0, 0].set_ylabel("true return")
     grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
     note = (
