@@ -1,10 +1,14 @@
 """Can TPIL's gradient reversal work at all? A toy where two bodies differ by a known shift.
 
-``python -m benchmarks.reversal`` writes ``data/search/reversal.json``. A "gait" is a point that
+``python -m benchmarks.reversal`` writes ``data/search/reversal.json``, an entry for each
+discriminator as it is done, and goes on with a file that lacks some. A "gait" is a point that
 goes round a circle; the expert turns fast, and of the learner's episodes half turn as fast and half
 do not (a policy of the expert's quality, and a worse one). The learner's body adds a constant to
 two of six features, which single states betray at once. No policy learns here: discriminators do,
-and what counts is whether their reward tells the learner's good windows from its bad ones.
+and what counts is whether their reward tells the learner's good windows from its bad ones
+(``ranking``, the share of pairs in which the good one has more). ``domain_accuracy`` is the domain
+head's, ``probe_accuracy`` that of a linear reading of the encodings fitted afterwards: a head that
+is fooled does not show that the encoder has forgotten.
 
 Two readings of "worse": "slower" turns at a third of the speed, which no single state shows, as
 TPIL supposes; "smaller" also goes round a circle of 0.6 of the size, which every state shows.
@@ -22,6 +26,7 @@ from torch import nn
 from torch.nn import functional as F
 from tqdm import tqdm
 
+from silem import paper
 from silem.algorithms.networks import (
     AffineTransform,
     Discriminator,
@@ -32,7 +37,8 @@ from silem.algorithms.networks import (
 from silem.algorithms.windows import episode_windows
 from silem.util import files, paths
 
-COEFFICIENTS = (0.0, 0.3, 1.0, 1.6, 4.0)  # none, three of the supplement's grid, and more
+FILE = paths.REPO / "data" / "search" / "reversal.json"
+COEFFICIENTS = (0.0, *paper.grid_values("tab4.3_h")["C_g"], 4.0)  # none, the grid's, and more
 DEPTHS = (1, 2)  # layers of the shared encoder; the paper's text gives none, ours has one
 SEEDS = (0, 1)
 WINDOW, HIDDEN, STEPS, BATCH, RATE = 4, (128, 128), 2000, 128, 1e-3
@@ -74,9 +80,7 @@ def trained(seed: int, worse: str, method: str, coef: float, depth: int) -> dict
     n_features = learner.shape[-1]
     f: nn.Module = AffineTransform(n_features) if method == "silem" else nn.Identity()
     if method == "tpil":
-        d: Any = ThirdPersonDiscriminator(n_features, WINDOW, HIDDEN, coef)
-        for _ in range(depth - 1):
-            d.encoder.extend([nn.Linear(HIDDEN[0], HIDDEN[0]), nn.Tanh()])
+        d: Any = ThirdPersonDiscriminator(n_features, WINDOW, HIDDEN, coef, depth)
     else:
         d = Discriminator(n_features, WINDOW, HIDDEN)
     disc = th.optim.Adam(d.parameters(), RATE)
@@ -99,38 +103,45 @@ def trained(seed: int, worse: str, method: str, coef: float, depth: int) -> dict
             transform.step()
     with th.no_grad():
         good, bad = (th.sigmoid(d(f(unseen[name]))).numpy() for name in ("good", "bad"))
-        domain = None
+        told: dict[str, float | None] = {"domain_accuracy": None, "probe_accuracy": None}
         if method == "tpil":
-            states = {name: unseen[name][:, -1] for name in unseen}
-            seen_right = [
-                (d.domain_logits(states["expert"]) > 0).float().mean(),
-                (d.domain_logits(th.cat([states["good"], states["bad"]])) < 0).float().mean(),
-            ]
-            domain = float(np.mean(seen_right))
+            sides = [unseen["expert"][:, -1], th.cat([unseen["good"], unseen["bad"]])[:, -1]]
+            head = [(d.domain_logits(states) > 0).float().mean() for states in sides]
+            told["domain_accuracy"] = float(head[0] + 1 - head[1]) / 2
+            told["probe_accuracy"] = probe_accuracy(*(d.encoder(s).numpy() for s in sides))
     ranking = stats.mannwhitneyu(good, bad).statistic / (len(good) * len(bad))
     return {
         "worse": worse, "method": method, "coef": coef, "depth": depth, "seed": seed,
-        "domain_accuracy": domain, "ranking": float(ranking),
+        **told, "ranking": float(ranking),
         "reward_good": float(good.mean()), "reward_bad": float(bad.mean()),
     }  # fmt: skip
 
 
+def probe_accuracy(expert: np.ndarray, learner: np.ndarray) -> float:
+    """Return how well least squares tell encodings (N, H) apart, on every other one of them."""
+    sides = [np.insert(side, 0, 1.0, axis=1) for side in (expert, learner)]
+    rows = np.concatenate([side[::2] / np.sqrt(len(side)) for side in sides])  # sides count alike
+    wanted = np.concatenate([np.full(len(side[::2]), sign) / np.sqrt(len(side))
+                             for side, sign in zip(sides, (1.0, -1.0), strict=True)])  # fmt: skip
+    weights = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    return float(
+        ((sides[0][1::2] @ weights > 0).mean() + (sides[1][1::2] @ weights < 0).mean()) / 2
+    )
+
+
 def main() -> None:
-    """Train every discriminator and write what each one tells apart."""
+    """Train the discriminators that are not in the file and write what each one tells apart."""
     th.set_num_threads(1)
     tpil = [("tpil", coef, depth) for coef, depth in itertools.product(COEFFICIENTS, DEPTHS)]
     methods = [("silem-minus", 0.0, 0), ("silem", 0.0, 0), *tpil]
     cases = list(itertools.product(SEEDS, AMPLITUDE, methods))
-    rows = [trained(seed, worse, *how) for seed, worse, how in tqdm(cases, unit="discriminator")]
-    files.write_json(paths.REPO / "data" / "search" / "reversal.json", rows)
-    for name in dict.fromkeys((r["worse"], r["method"], r["depth"], r["coef"]) for r in rows):
-        mine = [r for r in rows if (r["worse"], r["method"], r["depth"], r["coef"]) == name]
-        means = {
-            k: np.mean([r[k] for r in mine])
-            for k in ("domain_accuracy", "ranking", "reward_good", "reward_bad")
-            if mine[0][k] is not None
-        }
-        print(*name, *(f"{k} {v:.3f}" for k, v in means.items()))
+    rows = files.read_json(FILE) if FILE.exists() else []
+    done = {(r["seed"], r["worse"], (r["method"], r["coef"], r["depth"])) for r in rows}
+    for seed, worse, how in tqdm(
+        [case for case in cases if case not in done], unit="discriminator"
+    ):
+        rows.append(trained(seed, worse, *how))
+        files.write_json(FILE, rows)
 
 
 if __name__ == "__main__":

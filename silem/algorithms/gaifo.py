@@ -1,7 +1,5 @@
 """GAIfO on windows: adversarial imitation from observation, which is Algorithm 1 without T."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -15,7 +13,7 @@ from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
 from silem.algorithms.windows import LearnerFeatures, absorbing_windows, episode_windows, marked
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, check_numbers, choose
+from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, choose
 
 REWARDS = {
     "d": th.sigmoid,  # D
@@ -65,9 +63,8 @@ class GAIfO(PPO):
             one bool for each.
         **kwargs: Everything :class:`PPO` takes.
 
-    Raises:
-        SilemError: On unusable demonstrations or settings; in `learn`, on features of another
-            width than the demonstrations', or that not every environment supplies alike.
+    Raises SilemError on unusable demonstrations or settings; in `learn`, on features of another
+    width than the demonstrations', or that not every environment supplies alike.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = PPO._numbers | {
@@ -146,8 +143,7 @@ class GAIfO(PPO):
     def score_windows(self, windows: np.ndarray) -> np.ndarray:
         """Return D's judgement (B,), 1 for "expert", of learner windows (B, W, F) as they are now.
 
-        Raises:
-            SilemError: If the windows have another length or feature width than D's.
+        Raises SilemError if the windows have another length or feature width than D's.
         """
         wanted = (self.window, self.demonstrations.n_features)
         if windows.shape[1:] != wanted:
@@ -165,7 +161,7 @@ class GAIfO(PPO):
         if not isinstance(self.disc_hidden, Sequence):
             raise SilemError(f"disc_hidden must be a list of layer sizes, not {self.disc_hidden!r}")
         for size in self.disc_hidden:
-            check_numbers({"each size in disc_hidden": size}, {"each size in disc_hidden": COUNT})
+            COUNT.check("each size in disc_hidden", size)
         rows = self.n_steps * self.n_envs
         for name in self._numbers:
             if name.endswith("_updates") and getattr(self, name) > rows:

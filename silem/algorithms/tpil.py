@@ -1,14 +1,12 @@
 """TPIL, third-person imitation learning (Stadie et al., 2017), as the paper compares with it."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th
 
 from silem.algorithms.gaifo import GAIfO
 from silem.algorithms.networks import ThirdPersonDiscriminator, cross_entropy
-from silem.util.errors import WEIGHT, NumberKind
+from silem.util.errors import COUNT, WEIGHT, NumberKind
 
 
 class TPIL(GAIfO):
@@ -22,23 +20,31 @@ class TPIL(GAIfO):
         *args: ``policy``, ``env`` and ``demonstrations``, as in :class:`GAIfO`.
         gradient_reversal_coef: C_g, weight of the reversed gradient in the encoder; 0 trains the
             encoder for the window discriminator alone.
+        encoder_layers: Depth of the encoder, of which the paper says nothing.
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an empty ``disc_hidden``.
+    Raises SilemError as :class:`GAIfO`; an empty ``disc_hidden``.
     """
 
     discriminator: ThirdPersonDiscriminator
-    _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {"gradient_reversal_coef": WEIGHT}
+    _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {
+        "gradient_reversal_coef": WEIGHT, "encoder_layers": COUNT,
+    }  # fmt: skip
 
-    def __init__(self, *args: Any, gradient_reversal_coef: float = 1.0, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        gradient_reversal_coef: float = 1.0,
+        encoder_layers: int = 1,
+        **kwargs: Any,
+    ) -> None:
         self.gradient_reversal_coef = gradient_reversal_coef
+        self.encoder_layers = encoder_layers
         super().__init__(*args, **kwargs)
 
     def _make_discriminator(self, n_features: int) -> th.nn.Module:
-        return ThirdPersonDiscriminator(
-            n_features, self.window, self.disc_hidden, self.gradient_reversal_coef
-        )
+        coef, layers = self.gradient_reversal_coef, self.encoder_layers
+        return ThirdPersonDiscriminator(n_features, self.window, self.disc_hidden, coef, layers)
 
     def _disc_loss(
         self, expert_windows: th.Tensor, learner_windows: th.Tensor, mixing: th.Tensor

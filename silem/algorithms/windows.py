@@ -4,8 +4,6 @@ A window ends at the state a transition leads to, so its reward speaks of the ac
 first windows of an episode repeat its first state until there are enough states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,8 +20,7 @@ INFO_KEY = "skeletal_features"
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
     """Cut an episode's features (T + 1, F) into windows (T, W, F); row t ends at state t + 1.
 
-    Raises:
-        SilemError: If the episode has fewer than two states or the window is not positive.
+    Raises SilemError if the episode has fewer than two states or the window is not positive.
     """
     if window < 1:
         raise SilemError(f"window must be at least 1 state, got {window}")
@@ -66,9 +63,8 @@ class LearnerFeatures:
     def first(self, env: VecEnv, observations: Any) -> np.ndarray:
         """Return the features (E, F) of the states the environments are in after a reset.
 
-        Raises:
-            SilemError: Features are of another width, come from some environments or calls only,
-                or there are none: observations that are no arrays, or that change by themselves.
+        Raises SilemError: features are of another width, come from some environments or calls only,
+        or there are none: observations that are no arrays, or that change by themselves.
         """
         infos = env.unwrapped.reset_infos
         if self._in_infos is None:

@@ -31,8 +31,6 @@ limits, efforts and shapes are the published ones. What a simulation needs besid
 - **Welds.** `*_arm_wry2`, published with +-0.001 rad, has neither joint nor motor: 28 of 30 remain.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json
@@ -90,10 +88,8 @@ _COLOURS = {
 def body(ankle_range_rad: float = 0.1) -> MujocoBody:
     """Return Atlas with ankles that turn within +-`ankle_range_rad` about both axes.
 
-    The paper searched over 0.1 and 0.3 (supplement, tab42_h, a); 0.1 was best for SILEM.
-
-    Raises:
-        SilemError: If the range is not above 0 or exceeds the robot's own.
+    The paper searched over 0.1 and 0.3 (supplement, tab42_h, a); 0.1 was best for SILEM. Raises
+    SilemError if the range is not above 0 or exceeds the robot's own.
     """
     joints = constants()["joints"]
     limits = [joints[f"l_leg_{axis}"]["limit"] for axis in _ANKLES]

@@ -1,7 +1,6 @@
 """What a body is: data only. How to build it, what moves, what is measured."""
 
-from __future__ import annotations
-
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -75,19 +74,20 @@ class Body:
     view: View  #: how it is looked at
     control_step_s: float
     max_steps: int = MAX_STEPS  #: control steps after which an episode is cut off
+    #: of the floor, which rises along x; the floor stays the world's plane, and gravity is tilted
+    slope_deg: float = 0.0
     #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     #: returns the body for other values of its parameters
-    variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
+    variants: "Callable[..., Body] | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}: {self.description}>"
 
-    def variant(self, **parameters: float) -> Body:
+    def variant(self, **parameters: float) -> "Body":
         """Return this body with other values of some of its parameters.
 
-        Raises:
-            SilemError: If it has no such parameter, or a value is not allowed.
+        Raises SilemError if it has no such parameter, or a value is not allowed.
         """
         for name in parameters:
             choose(f"parameter of body {self.name!r}", name, self.parameters)
@@ -98,6 +98,12 @@ class Body:
     def model_xml(self) -> str:
         """Return the model file's text (MJCF)."""
         return self.build()
+
+    @property
+    def up(self) -> tuple[float, float, float]:
+        """The direction against gravity, (x, y, z) in the floor's frame."""
+        slope = math.radians(self.slope_deg)
+        return math.sin(slope), 0.0, math.cos(slope)
 
     @property
     def can_fall(self) -> bool:
@@ -163,7 +169,7 @@ class Skeleton:
     axes: str = "xyz"  #: of the torso frame, those that point forward, left and up
 
     @classmethod
-    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> "Skeleton":
         """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
         sided = {
             f"{side}_{point}": prefix + name
@@ -190,6 +196,10 @@ class MujocoBody(Body):
     standing_head_m: float  #: height of the head from which the reward counts it as standing
     fall_head_m: float  #: height of the head below which an episode ends
     target_speed_m_s: float  #: of the centre of mass, what earns the full reward
+    #: returns the bodies of E environments, where each has one of its own in this one's place
+    each: Callable[[int], Sequence["MujocoBody"]] | None = field(
+        default=None, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -230,9 +240,8 @@ def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[floa
         file: The file's name.
         edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
 
-    Raises:
-        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
-            attribute, or there is more than one.
+    Raises SilemError if the installed `pybullet_data` lacks the file, there is no such element or
+    attribute, or there is more than one.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")

@@ -4,8 +4,6 @@ A simulator is a module of this package with a `Simulation`: E bodies and the ta
 The rest is here: arguments, seeds, episodes and what is told of them, pictures, what is refused.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 import time
@@ -22,7 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.camera import Camera
-from silem.util.errors import COUNT, SilemError, check_numbers, choose
+from silem.util.errors import COUNT, SilemError, choose
 
 RENDER_MODES = ("rgb_array",)
 SIMULATORS = ("bullet", "mujoco")
@@ -138,10 +136,8 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
-        Pictures of `width` times `height` pixels need the render mode "rgb_array".
-
-        Raises:
-            SilemError: If an argument is not allowed.
+        Pictures of `width` times `height` pixels need the render mode "rgb_array". Raises
+        SilemError if an argument is not allowed.
         """
         self.observation_space, self.action_space = self._set_up(body, 1, render_mode, options)
         self.picture_size = width, height
@@ -167,8 +163,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             Observation (O,), float32, reward, whether the body has fallen, False, and an info:
             humanoids' with "skeletal_features" (F,), others' empty.
 
-        Raises:
-            SilemError: If the action has another shape or is not finite, or before `reset`.
+        Raises SilemError if the action has another shape or is not finite, or before `reset`.
         """
         action = self._check(action, (self.body.action_size,))
         (observation,), rewards, fallen, (info,) = self.simulation.step(action[None])
@@ -209,16 +204,15 @@ class BatchedEnv(_Filmed, VecEnv):
     ) -> None:
         """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None.
 
-        Raises:
-            SilemError: If an argument is not allowed.
+        Raises SilemError if an argument is not allowed.
         """
-        check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
+        COUNT.check("n_envs", n_envs)
         spaces = self._set_up(body, int(n_envs), render_mode, options)
         metadata = self.metadata
         super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.max_steps = self.body.max_steps if max_steps is None else max_steps
-        check_numbers({"max_steps": self.max_steps}, {"max_steps": COUNT})
+        COUNT.check("max_steps", self.max_steps)
         self._generators: list[np.random.Generator] = []
         self._lengths, self._returns = np.zeros(n_envs, dtype=int), np.zeros(n_envs)
         self._actions: np.ndarray | None = None

@@ -6,8 +6,6 @@ may differ as they do (line ends, blanks, remarks, case, order of sections), in 
 an error names file, line and bone.
 """
 
-from __future__ import annotations
-
 import codecs
 import hashlib
 import http.client
@@ -57,12 +55,10 @@ _CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis"
 def mocap_file(name: str) -> Path:
     """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
-    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what
-    is not CMU's is kept aside in the cache, under the same name and ".mismatch".
-
-    Raises:
-        SilemError: The name is unknown, the file is not in that folder, cannot be downloaded, or
-            has not the SHA-256 expected.
+    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what is
+    not CMU's is kept aside in the cache, under the same name and ".mismatch". Raises SilemError:
+    the name is unknown, the file is not in that folder, cannot be downloaded, or has not the
+    SHA-256 expected.
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
@@ -188,9 +184,8 @@ def _blocks(lines: list[_Line], starts: Callable[[str], bool]) -> list[list[_Lin
 def read_asf(path: Path | str) -> AsfSkeleton:
     """Read a skeleton, an ASF file.
 
-    Raises:
-        SilemError: The file is missing or truncated; it is not in degrees, or its root is not as
-            CMU's; or a bone is without name, there twice, or not in the hierarchy.
+    Raises SilemError: the file is missing or truncated; it is not in degrees, or its root is not as
+    CMU's; or a bone is without name, there twice, or not in the hierarchy.
     """
     path = Path(path)
     _, *found = _blocks(_lines(path), lambda word: word.startswith(":"))
@@ -242,9 +237,8 @@ def _bone(name: str, block: list[_Line]) -> Bone:
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
     """Read a clip, an AMC file, of a skeleton: frames with a number for every axis of every bone.
 
-    Raises:
-        SilemError: The file is missing or truncated, is not in degrees, or a frame is out of
-            order, lacks a bone, or has one that is unknown, repeated, or has wrong values.
+    Raises SilemError: the file is missing or truncated, is not in degrees, or a frame is out of
+    order, lacks a bone, or has one that is unknown, repeated, or has wrong values.
     """
     path = Path(path)
     header, *blocks = _blocks(_lines(path), lambda word: word.isdigit() and len(word) < 10)

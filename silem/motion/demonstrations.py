@@ -1,7 +1,5 @@
 """State-only demonstrations tau_E: skeletal features of an expert's episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -65,7 +63,7 @@ class Demonstrations:
         """F, the number of skeletal features per state."""
         return int(self.features[0].shape[1])
 
-    def first(self, n: int) -> Demonstrations:
+    def first(self, n: int) -> "Demonstrations":
         """Return the first ``n`` trajectories; raises SilemError if there are fewer."""
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
@@ -85,7 +83,7 @@ class Demonstrations:
         files.write_npz(Path(path), own | dict(self.extra))
 
     @classmethod
-    def of(cls, given: Any) -> Demonstrations:
+    def of(cls, given: Any) -> "Demonstrations":
         """Take demonstrations, or wrap a list of (T + 1, F) arrays, checked as a file's are."""
         wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
         if isinstance(given, Demonstrations):
@@ -103,11 +101,10 @@ class Demonstrations:
             ) from error
 
     @classmethod
-    def load(cls, source: Path | str) -> Demonstrations:
+    def load(cls, source: Path | str) -> "Demonstrations":
         """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
-        Raises:
-            SilemError: There is no such file, or it is none or damaged.
+        Raises SilemError: there is no such file, or it is none or damaged.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
@@ -196,8 +193,7 @@ def is_published(name: str) -> bool:
 def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
-    Raises:
-        SilemError: The file is missing, damaged, another body's, or not the manifest's.
+    Raises SilemError: the file is missing, damaged, another body's, or not the manifest's.
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
@@ -207,7 +203,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
         )
     there = Demonstrations.load(name)
     about = manifest().get(path.stem, {"body": there.body})
-    if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
+    if there.body != about.get("body") or (bodies.exists(path.stem) and there.body != path.stem):
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)
 

@@ -10,6 +10,7 @@ holds the variance of the demonstrator: all imitators of a study learn from the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +20,7 @@ import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
-from silem import paper
+from silem import bodies, paper
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics
@@ -27,6 +28,7 @@ from silem.report.statistics import NO_INTERVAL, Interval
 from silem.report.style import number
 from silem.report.tables import small, styled
 from silem.study.settings import BUDGETS
+from silem.study.studies import cells
 from silem.util.errors import choose
 
 MIN_TRIALS, MARGIN, WALKING = 3, 0.1, 0.5
@@ -346,7 +348,34 @@ def _humanoids() -> tuple[Claim, ...]:
     )  # fmt: skip
 
 
-CLAIMS = {"halfcheetah": _half_cheetahs(), "ant": _ants(), "humanoids": _humanoids()}
+def _slopes() -> tuple[Claim, ...]:
+    """The paper's conjecture: by scaling and shifting, SILEM copes with a slope.
+
+    A body that stands on the slope as its demonstrator on the floor has its nose up by the slope's
+    angle. An offset of that angle on its pitch, positive as the nose goes down, makes up for that.
+    """
+    where, told = "Conclusion: 'We hypothesize ...'", []
+    for body in dict.fromkeys(cell.body for cell in cells("slope")):
+        angle = math.radians(bodies.get(body).slope_deg)
+        offset = Measure(("silem", body), "b pitch", lower=0.5 * angle, upper=1.5 * angle)
+        told += [
+            Claim(
+                "SILEM beats SILEM⁻",
+                body,
+                where,
+                (_exceeds(("silem", body), ("silem-minus", body)),),
+            ),
+            Claim("T's offset of pitch is the angle, within half of it", body, where, (offset,)),
+        ]
+    return tuple(told)
+
+
+CLAIMS = {
+    "halfcheetah": _half_cheetahs(),
+    "ant": _ants(),
+    "humanoids": _humanoids(),
+    "slope": _slopes(),
+}
 """Every claim that is judged so far, by the study whose runs judge it."""
 
 

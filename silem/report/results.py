@@ -19,7 +19,6 @@ import pandas as pd
 from IPython.display import HTML
 
 from silem import bodies
-from silem.motion.features import FEATURES
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
@@ -174,8 +173,20 @@ def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
 
 def _order(column: pd.Series) -> pd.Series:
     """Sort bodies by the registry and methods as they are declared, not by the alphabet."""
-    ranks = {"body": bodies.names(), "method": list(METHODS)}.get(str(column.name))
-    return column.map(ranks.index) if ranks else column
+    if column.name == "body":
+        return column.map(_sorted(set(column)).index)
+    return column.map(list(METHODS).index) if column.name == "method" else column
+
+
+def _sorted(names: set[str]) -> list[str]:
+    """Sort bodies as the registry does, then those that their names describe, by their numbers."""
+
+    def numbers(name: str) -> tuple[Any, ...]:
+        body = bodies.get(name)
+        return body.family, body.slope_deg, body.length[1], name
+
+    known = [name for name in bodies.names() if name in names]
+    return known + sorted(names - set(known), key=numbers)
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
@@ -257,7 +268,7 @@ def n_trials(frame: pd.DataFrame) -> int:
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
     known = {cell.body for cell in cells(context(frame)[0])}
-    return [name for name in frame.attrs.get("bodies", bodies.names()) if name in known]
+    return [name for name in frame.attrs.get("bodies", _sorted(known)) if name in known]
 
 
 def original_body(frame: pd.DataFrame) -> str:
@@ -325,19 +336,21 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     """Return one cell's values of a quantity that a claim is about, one for each trial, (N,).
 
     `quantity` is a column; ``"returns"``, the episodes of a policy that is not trained, which are
-    its replicates; or an entry of a humanoid's T, the mean over the features whose names begin so:
-    ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
+    its replicates; or an entry of T, the mean over the features whose names begin so: ``"b pitch"``
+    of a runner, ``"A left_hand"`` of a humanoid, or a difference, ``"b left_elbow - right_elbow"``.
     """
+    from silem.report.transforms import feature_names  # which reads results
+
     found = cell(frame, method, body)
     if quantity == "returns":
         return np.array(found["returns"].iloc[0]) if len(found) else np.empty(0)
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries = [load_transform(run_id)[key] for run_id in found["run_id"]]
+    entries, names = [load_transform(r)[key] for r in found["run_id"]], feature_names(body)
     one, *other = (
-        np.array([entry[[f.name.startswith(part) for f in FEATURES]].mean() for entry in entries])
-        for part in parts.split(" - ")
+        np.array([entry[[name.startswith(part) for name in names]].mean() for entry in entries])
+        for part in parts.replace("_", " ").split(" - ")
     )
     return one - other[0] if other else one
 

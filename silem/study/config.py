@@ -4,8 +4,6 @@ A configuration holds exactly the hyper-parameters that its method uses, so that
 expert's run does not depend on how discriminators are trained.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -53,7 +51,7 @@ class RunConfig:
         seed: int = 0,
         study: str | None = None,
         **overrides: Any,
-    ) -> RunConfig:
+    ) -> "RunConfig":
         """Make a checked configuration; the one door to `RunConfig`.
 
         Args:
@@ -66,8 +64,7 @@ class RunConfig:
             **overrides: Hyper-parameters, and parameters of the body, that replace the
                 supplement's best combination for this cell.
 
-        Raises:
-            SilemError: Anything unknown, out of range, or of no use to the method.
+        Raises SilemError: anything unknown, out of range, or of no use to the method.
         """
         learner = bodies.get(body)
         choose("method", method, METHODS)
@@ -157,10 +154,15 @@ class RunConfig:
         return " ".join(words)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body."""
+        """Return it as plain JSON types: hyper-parameters in use, identity of one's own body.
+
+        One that is back at its default, where the cell has another, is in use too.
+        """
+        own = {n: value for n, (value, source) in self.settings().items() if source == "this run"}
+        used = self.hyper.of_method(self.method)
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
-            for name, value in self.hyper.of_method(self.method).items()
+            for name, value in (used | {n: own[n] for n in vars(self.hyper) if n in own}).items()
         }
         body = bodies.identity(self.body)
         return {
@@ -174,7 +176,7 @@ class RunConfig:
         } | ({"own_body": body} if body else {})
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
+    def from_dict(cls, content: Mapping[str, Any]) -> "RunConfig":
         """Rebuild a configuration from `to_dict`, through the same checks.
 
         Raises SilemError: As `create`, or the body is another one now.

@@ -3,8 +3,6 @@
 Policies act stochastically, as in training and in the demonstrations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -118,10 +116,8 @@ def episodes(
 
     Every environment's number of episodes is fixed beforehand, so that short episodes are not
     over-represented. The random numbers of policy and environments restart from `seed`; `options`
-    are the environments' (see `silem.envs.make_vec`).
-
-    Raises:
-        SilemError: The body is unknown, or `n_episodes` is below 1.
+    are the environments' (see `silem.envs.make_vec`). Raises SilemError: the body is unknown, or
+    `n_episodes` is below 1.
     """
     if n_episodes < 1:
         raise SilemError(f"episodes must be 1 or more, not {n_episodes}")

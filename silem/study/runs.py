@@ -1,7 +1,5 @@
 """Runs: started, resumed or looked up by their configuration, and recorded once finished."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -276,18 +274,20 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     return record
 
 
-def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> list[str]:
+def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> list[str]:
     """Write what a training leaves, and return the files' names."""
     from silem.algorithms import SILEM
-    from silem.algorithms.networks import AffineTransform
+    from silem.algorithms.networks import AffineEnsemble, AffineTransform
 
     files.write_text(folder / CURVE, curve_csv(curve))
     model.export_policy(folder / POLICY, run_id=run_id)
     net = model.transform_net if isinstance(model, SILEM) else None
     if not isinstance(net, AffineTransform):
         return [CURVE, POLICY]
-    arrays = {"A": net.scale, "b": net.offset}
-    files.write_npz(folder / TRANSFORM, {n: x.detach().cpu().numpy() for n, x in arrays.items()})
+    arrays = net.mean()
+    if isinstance(net, AffineEnsemble):
+        arrays |= {name: x.detach().cpu().numpy() for name, x in net.state_dict().items()}
+    files.write_npz(folder / TRANSFORM, arrays)
     return [CURVE, POLICY, TRANSFORM]
 
 
@@ -311,6 +311,6 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
-    if demonstrations not in bodies.names():
+    if not bodies.exists(demonstrations):
         path = demos.file_of(demonstrations)
         raise SilemError(f"{path} is not there or not whole; `silem mocap` makes it")

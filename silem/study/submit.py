@@ -4,8 +4,6 @@ A scheduler only starts loops and starts them again; what there is to do they fi
 folder, which all machines must share.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 import subprocess
@@ -36,7 +34,7 @@ class Options:
     scheduler: str = ""  # Dask's address, say "tcp://10.0.0.1:8786"
 
     @classmethod
-    def load(cls, path: Path | None) -> Options:
+    def load(cls, path: Path | None) -> "Options":
         """Read options; None gives the defaults.
 
         Raises SilemError: the file cannot be read, or a key is unknown or of another type; the

@@ -1,7 +1,5 @@
 """Building a run's model, and training it in segments between checkpoints."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -168,7 +166,7 @@ class Checkpoint:
     )
 
     @classmethod
-    def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+    def start(cls, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
         """Return what a run starts from that has not begun."""
         no_curve = np.empty((0, len(CURVE_COLUMNS)))
         return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
@@ -203,7 +201,7 @@ class Checkpoint:
         files.write_tensors(path, arrays, metadata)
 
     @classmethod
-    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
         """Read a checkpoint of a given run.
 
         Raises SilemError: the file is damaged, another run's, or was made with other
@@ -250,7 +248,7 @@ class Segments(BaseCallback):
     """Cuts a training into segments, keeps its learning curve and shows progress (see `train`)."""
 
     def __init__(
-        self, config: RunConfig, folder: Path, start: Checkpoint, bar: tqdm[Any], until: float
+        self, config: RunConfig, folder: Path, start: Checkpoint, bar: "tqdm[Any]", until: float
     ) -> None:
         super().__init__()
         self._config, self._folder, self._start, self._bar = config, folder, start, bar

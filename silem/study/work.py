@@ -4,8 +4,6 @@ The file system is the truth. A loop takes the next run whose lock is free; so a
 on any number of machines share a data folder, and any of them may die at any moment.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess
@@ -237,7 +235,7 @@ def environment() -> dict[str, str]:
     return moved
 
 
-def _show(bar: tqdm[Any], configs: Sequence[RunConfig]) -> None:
+def _show(bar: "tqdm[Any]", configs: Sequence[RunConfig]) -> None:
     left = [config for config in configs if not runs.is_finished(config)]
     bar.n = len(configs) - len(left)
     bar.set_postfix_str("; ".join(describe(c) for c in left if runs.state(c) == "running"))

@@ -202,7 +202,8 @@ def test_state_arrays_of_another_method_are_refused() -> None:
 
 
 def test_save_load_learn_on(tmp_path) -> None:
-    model = make_model(gradient_reversal_coef=0.3).learn(128)
+    model = make_model(gradient_reversal_coef=0.3, encoder_layers=2).learn(128)
+    assert len(model.discriminator.encoder) == 2 * len(make_model().discriminator.encoder) == 4
     model.save(tmp_path / "tpil.zip")
     loaded = TPIL.load(tmp_path / "tpil.zip", env=model.get_env())
     assert loaded.discriminator.reversal_coef == 0.3
@@ -233,6 +234,7 @@ def test_unusable_demonstrations_are_refused(demonstrations, message: str) -> No
         (dict(gradient_reversal_coef=-0.1), "from 0"),
         (dict(gradient_reversal_coef=float("nan")), "from 0"),
         (dict(disc_hidden=()), "one layer at least"),
+        (dict(encoder_layers=0), "whole number from 1"),
     ],
 )
 def test_unusable_settings_are_refused(settings: dict, message: str) -> None:

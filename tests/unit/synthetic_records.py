@@ -164,12 +164,16 @@ def _gait(return_mean: float, body: str) -> dict[str, float]:
 
 def _runner_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A transform that strays from the identity with a length; Ants' forward velocity tracks it."""
-    longer, family = int(config.body[-1]), bodies.get(config.body).family
-    n, tracks = N_FEATURES[family], family == "ant"
+    longer, body = int(config.body[-1]), bodies.get(config.body)
+    n, tracks = body.observation_size, body.family == "ant"
     spread = 0.3 if tracks else longer
     arrays = {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
     if tracks:
         arrays["A"][3] += 0.1 * longer
+    count = config.hyper.transform_components
+    if count > 1:  # an ensemble's maps and gate, which no figure reads
+        maps = dict.fromkeys(("scale", "offset", "gate.weight"), np.ones((count, n)))
+        arrays |= maps | dict.fromkeys(("gate.bias", "shares"), np.ones(count))
     return arrays
 
 
@@ -192,7 +196,7 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
     walks = bodies.get(config.body).family == "humanoid"
     n = config.budget.n_iterations
     share = 1 - np.exp(-5 * np.arange(1, n + 1) / n)
-    start = RANDOM_RETURNS[config.body]
+    start = RANDOM_RETURNS.get(config.body, -1500.0)
     returns = start + share * (return_mean - start) + 60 * rng.normal(size=n)
     rows = []
     for i in range(n):

@@ -48,7 +48,7 @@ def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
     assert row(box, "SILEM far outperforms TPIL")[3] == (
         "Atlas, Humanoid, HumanoidR (too few trials)"
     )
-    titles = {claim.title for study in claims.CLAIMS for claim in claims.of(study)}
+    titles = {claim.title for study in glance.STUDIES for claim in claims.of(study)}
     assert all(f"| {title} |" in box for title in titles)
     heads = [line for line in box.splitlines() if line.startswith("| claim |")]
     counts = [[int(n) for n in re.findall(r"\((\d+)\)", head)] for head in heads]

@@ -18,12 +18,13 @@ import synthetic_records as synthetic
 from silem import paper
 from silem.cli import main
 from silem.motion import demonstrations
-from silem.study import runs, work
+from silem.study import demonstrate, runs, work
 from silem.study.config import RunConfig
 from silem.study.record import CHECKPOINT, PROGRESS, RECORD
 from silem.study.settings import BUDGETS
 from silem.study.studies import (
     SEARCH_SEEDS,
+    TORSOS,
     TRIAL_SEEDS,
     cells,
     fresh_configs,
@@ -67,6 +68,37 @@ def test_the_ant_studys_cells_are_those_of_figure_2d() -> None:
     }
     plain = {config.run_id for config in configs}
     assert all(c.hyper.absorbing_states and c.run_id not in plain for c in small)
+
+
+def test_a_ladder_has_experts_of_its_own_and_one_combination() -> None:
+    configs = study_configs("ladder", "book")
+    assert len(configs) == (8 * 5 + 1) * 2
+    for body in TORSOS:
+        own = [c for c in configs if c.body == body and c.method == "ppo"]
+        assert demonstrate.experts(body, "book") == own and {c.seed for c in own} == {0, 1}
+        assert [c.run_id for c in demonstrate.experts(body, "book", 1)] == [own[1].run_id]
+        needs = next(c for c in configs if c.demonstrations == body)
+        assert work.experts_of(needs) == own
+    assert {c.study for c in demonstrate.experts("HC2", "book")} == {"halfcheetah"}
+    assert {c.study for c in demonstrate.experts("HC0-slope-5", "book")} == {"halfcheetah"}
+    # the paper has other combinations for HC1 and HC2, which are as long as two of these
+    hyper = {c.hyper for c in study_configs("halfcheetah", "book") if c.method == "silem"}
+    ladder = {c.hyper for c in configs if c.method == "silem"}
+    assert len(ladder) == 1 and ladder < hyper and len(hyper) > 1
+
+
+def test_what_goes_beyond_the_paper_repeats_none_of_its_runs() -> None:
+    beyond = ("ladder", "ladder-ant", "slope", "slope-humanoid", "ensembles", "arm-lengths")
+    papers = {
+        (c.method, c.body, c.hyper)
+        for study in ("halfcheetah", "ant", "humanoids")
+        for c in study_configs(study, "book", 1)
+    }
+    for study in beyond:
+        found = [(c.method, c.body, c.hyper) for c in study_configs(study, "book", 1)]
+        assert not papers & set(found) and len(set(found)) == len(found)
+    counts = [c.hyper.transform_components for c in study_configs("ensembles", "book", 1)]
+    assert counts == [2, 4, 8] * 3
 
 
 def test_the_first_trial_of_every_cell_comes_before_any_second() -> None:
