@@ -22,7 +22,6 @@ from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, choose
 
-
 REWARDS = {
     "d": th.sigmoid,  # D
     "airl": lambda logits: logits,  # log D - log(1 - D)

@@ -104,7 +104,7 @@ def hours_left(frame: pd.DataFrame) -> float:
 def cost() -> Table:
     """Return, for each study: runs, trials of a cell, steps, hours and dates."""
     found, plans, rows = costs(), planned(), []
-    for study in STUDIES:
+    for study in dict.fromkeys([*STUDIES, *found["study"]]):  # searches after the studies
         made, wanted = (frame[frame["study"] == study] for frame in (found, plans))
         missing = int(wanted["hours"].isna().sum())
         rows.append(

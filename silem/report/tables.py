@@ -125,12 +125,12 @@ def cell_table(frame: pd.DataFrame) -> Styler:
         for words, runs in shown:
             row = {"body": body, "method": words, "trials": len(runs)}
             row["return"] = _mean(runs["return_mean"], spread=True)
+            if lasts:
+                row["steps"] = _mean(runs["steps"], spread=True)
             row["score"] = _mean(runs["normalised"], 2, spread=True)
             row["score, best expert"] = _mean(best if words == label else [], 2)
             row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
-            if lasts:
-                row["steps"] = _mean(runs["steps"], spread=True)
-            else:
+            if not lasts:
                 row[upright] = _mean(100 * runs["upright"], 0, " %")
             row["discriminator reward"] = _mean(runs["disc_reward"])
             row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
