@@ -18,10 +18,9 @@ from torch.nn import functional as F
 
 from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
+from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, choose
-
-INFO_KEY = "skeletal_features"
 
 REWARDS = {
     "d": th.sigmoid,  # D

@@ -8,7 +8,7 @@ import importlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -24,6 +24,9 @@ from silem.util.errors import COUNT, SilemError, choose
 
 RENDER_MODES = ("rgb_array",)
 SIMULATORS = ("bullet", "mujoco")
+
+INFO_KEY = "skeletal_features"
+"""Under which an environment's infos hold g(s), where it has a g of its own."""
 
 Infos = list[dict[str, Any]]
 Generators = Sequence[np.random.Generator]
@@ -56,6 +59,32 @@ class Simulation(ABC):
 
     def close(self) -> None:  # noqa: B027  not every simulator has anything to give back
         """Forget the past: what `begin` gives next is as new; closing twice is allowed."""
+
+
+class WithFeatures(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Any environment, with skeletal features of one's own in its infos.
+
+    Imitation learners compare these with the demonstrations', and act on observations as they are.
+    """
+
+    def __init__(
+        self, env: gymnasium.Env[Any, Any], g: Callable[[Any], Sequence[float] | np.ndarray]
+    ) -> None:
+        """Wrap an environment; `g` takes an observation and returns features (F,)."""
+        super().__init__(env)
+        self._g = g
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, info | {INFO_KEY: np.asarray(self._g(observation), np.float32)}
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step by an action."""
+        observation, *told, info = super().step(action)
+        return observation, *told, info | {INFO_KEY: np.asarray(self._g(observation), np.float32)}
 
 
 class _Filmed:

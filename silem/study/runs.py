@@ -45,6 +45,13 @@ def find(run_id: str) -> RunRecord | None:
     return None
 
 
+def get(run_id: str) -> RunRecord:
+    """Return a finished run's record; SilemError if there is none, or it is damaged."""
+    if (record := find(run_id)) is None:
+        raise SilemError(f"there is no finished run {run_id!r} in {paths.data_dir()}")
+    return record
+
+
 def finished(config: RunConfig) -> RunRecord | None:
     """Return a run's record, or None; SilemError if its demonstrations are not those there now."""
     if (record := find(config.run_id)) and config.demonstrations:
