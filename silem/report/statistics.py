@@ -4,8 +4,6 @@ A trial is one independently trained run, the unit of replication; episodes of o
 Scores of a cell have shape (N,).
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -39,6 +39,22 @@ def test_one_trial_has_neither_interval_nor_power() -> None:
     assert np.isnan(statistics.detectable([7.0], [1.0, 2.0], n_trials=5))
 
 
+def test_rank_correlation_by_hand_and_by_its_coverage(rng: np.random.Generator) -> None:
+    # Ranks 1 2 3 4 5 against 2 1 4 3 5: 1 - 6 * 4 / (5 * 24) = 0.8
+    found = statistics.rank_correlation([1, 2, 3, 4, 5], [20, 10, 40, 30, 50])
+    half = 1.95996 * ((1 + 0.32) / 2) ** 0.5
+    ends = np.tanh([np.arctanh(0.8) - half, np.arctanh(0.8) + half])
+    np.testing.assert_allclose(found, [0.8, *ends], atol=1e-5)
+    assert statistics.rank_correlation([1, 2, 3, 4], [1, 8, 27, 64])[1:] == pytest.approx((1, 1))
+    true, within = 6 / np.pi * np.arcsin(0.6 / 2), 0
+    for _ in range(1000):
+        x = rng.normal(size=35)
+        y = 0.6 * x + 0.8 * rng.normal(size=35)
+        _, low, high = statistics.rank_correlation(x, y)
+        within += low <= true <= high
+    assert 0.92 < within / 1000 < 0.98
+
+
 def test_wins_by_hand() -> None:
     # Pairs: 1 < 2, 1 < 3, 4 > 2, 4 > 3; then one tie of 3 with 3.
     assert statistics.wins([1.0, 4.0], [2.0, 3.0]) == 0.5
