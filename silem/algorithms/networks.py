@@ -248,14 +248,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
             )
         n_features = observation_space.shape[0]
         super().__init__(observation_space, n_features)
-        self.mean, self.var, self.count = (
-            nn.Buffer(start.to(th.float64))
-            for start in (
-                th.zeros(n_features),
-                th.ones(n_features),
-                th.tensor(1e-4, dtype=th.float64),
-            )
-        )
+        self.mean = nn.Buffer(th.zeros(n_features, dtype=th.float64))
+        self.var = nn.Buffer(th.ones(n_features, dtype=th.float64))
+        self.count = nn.Buffer(th.tensor(1e-4, dtype=th.float64))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Return observations (B, O) in clipped standard deviations."""
