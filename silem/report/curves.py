@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from silem import bodies
-from silem.report import results, scores, style
+from silem.report import results, scores, statistics, style
 from silem.study.record import CURVE, CURVE_COLUMNS, RunRecord
 from silem.util import files
 from silem.util.errors import choose
@@ -38,9 +38,10 @@ _ONE_RUN = {name: title for name, (title, _) in QUANTITIES.items()} | {
 def learning_curves(frame: pd.DataFrame) -> Figure:
     """Draw return, discriminator reward and forward speed over timesteps, for each body.
 
-    A line is the mean over a cell's trials, its band their minimum and maximum, both after a
-    running mean, up to where the shortest ends; runs of another number of iterations than planned
-    are dashed. Experts have no row for the discriminator; bodies that fall have one for when.
+    A line is the mean over a cell's trials, its band from `scores.INTERVAL_TRIALS` on Student's
+    95 % interval of it at each step, else their minimum and maximum, all after a running mean, up
+    to where the shortest ends; runs of another number of iterations than planned are dashed.
+    Experts have no row for the discriminator; bodies that fall have one for when.
     """
     frame = scores.runs_of("learning_curves", frame)
     names = results.body_names(frame)
@@ -73,7 +74,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     figure.align_labels()
     counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
     several = " to ".join(dict.fromkeys(str(n) for n in (counts.min(), counts.max())))
-    note = f"trials per curve: {several if len(counts) else 0}"
+    bands = f"bands: minimum to maximum, from {scores.INTERVAL_TRIALS} trials on a 95 % t interval"
+    note = f"trials per curve: {several if len(counts) else 0}; {bands}"
     handles = _handles(drawn, frame)
     if frame["stand_in"].any():
         handles.append(style.handle(style.MUTED, scores.OTHER_LENGTH, ls=_DASHES[1]))
@@ -190,5 +192,7 @@ def _draw_mean(
     ]
     axes.plot(x / 1e6, np.mean(values, axis=0), color=color, **look)
     if len(values) > 1:
-        span = np.min(values, axis=0), np.max(values, axis=0)
+        span: Any = np.min(values, axis=0), np.max(values, axis=0)
+        if len(values) >= scores.INTERVAL_TRIALS:
+            span = np.transpose([statistics.interval(step) for step in np.transpose(values)])
         axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)

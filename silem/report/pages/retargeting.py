@@ -5,7 +5,9 @@ Everywhere `human` is the demonstrator's motion, and `results` is the same motio
 
 import itertools
 import re
+import tomllib
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,10 +24,12 @@ from silem.motion.features import POINTS
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import TARGETS, TOLERANCE_M, IKResult, standing_feet
 from silem.report import film, style
+from silem.report import results as runs
 from silem.report.pages import demonstration
 from silem.report.pages.demonstration import SIDE_COLORS
 from silem.study.config import RunConfig
 from silem.study.settings import HUMAN
+from silem.util.paths import REPO
 
 _N_POSES = 5
 _TOP_JOINTS = 8
@@ -133,6 +137,29 @@ def limb_ratios(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
     rows |= {f"{result.body}'s over his": result.ratios for result in results}
     labels = [name.replace("_", " ") for name in ik.Limbs._fields]
     return pd.DataFrame(rows.values(), rows, labels).rename_axis("lengths")
+
+
+def scales(results: Sequence[IKResult], frame: pd.DataFrame) -> pd.DataFrame:
+    """Return by how much hands and feet are brought nearer or further, and who says so: a row each.
+
+    That is: a learner's limbs over the man's; 1 / a, the mean over SILEM's runs and the three axes,
+    since A makes the man's of the learner's positions; what a retargeting tool has in its tables.
+    """
+    rows: list[tuple[Any, ...]] = []
+    for result in results:
+        arms_and_legs = result.ratios.left_arm, result.ratios.right_arm, result.ratios.leg
+        rows.append((result.body, "its limbs over the man's", *arms_and_legs))
+        values = partial(runs.values, frame, "silem", result.body)
+        hands = [values(f"A {side}_hand") for side in SIDES]
+        feet = np.mean([values(f"A {side}_foot") for side in SIDES], axis=0)
+        learned = [1 / np.mean(a) if len(a) else np.nan for a in (*hands, feet)]
+        rows.append((result.body, f"1 / a of SILEM, {style.trials(len(feet))}", *learned))
+    for robot in tomllib.loads((REPO / "data" / "scale_tables.toml").read_text())["robot"]:
+        said = [robot[name] for name in ("left_hand", "right_hand", "feet")]
+        where = f"{robot['source']}, {robot['commit'][:7]}"
+        rows.append((robot["name"], f"set by hand: {where}", *said))
+    columns = ["body", "by", "left hand", "right hand", "feet"]
+    return pd.DataFrame(rows, columns=columns).set_index("body")
 
 
 def hands(human: Motion, results: Sequence[IKResult]) -> pd.DataFrame:
