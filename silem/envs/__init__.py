@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from silem.envs.base import BatchedEnv, SingleEnv
     from silem.envs.camera import Camera
 
-_MODULES = {"BatchedEnv": "base", "SingleEnv": "base", "Camera": "camera"}
+_MODULES = {"BatchedEnv": "base", "SingleEnv": "base", "WithFeatures": "base", "Camera": "camera"}
 
-__all__ = ["BatchedEnv", "Camera", "SingleEnv", "make_vec"]
+__all__ = ["BatchedEnv", "Camera", "SingleEnv", "WithFeatures", "make_vec"]
 
 
 def __getattr__(name: str) -> Any:

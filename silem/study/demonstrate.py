@@ -25,11 +25,10 @@ def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[R
 
     Those of its family's study; of a body that its name describes, of the first that plans them.
     """
-    study, seeds = None, TRIAL_SEEDS
-    if body not in bodies.names():
-        plans = [name for name, known in STUDIES.items() if ("ppo", body) in known.made]
-        study, seeds = (plans[0], STUDIES[plans[0]].seeds) if plans else (study, seeds)
-    seeds = seeds[: budget_named(budget).n_trials] if trial is None else (trial,)
+    plans = [name for name, known in STUDIES.items() if ("ppo", body) in known.made]
+    study = plans[0] if plans and body not in bodies.names() else None
+    trials = STUDIES[study].seeds if study else TRIAL_SEEDS
+    seeds = trials[: budget_named(budget).n_trials] if trial is None else (trial,)
     return [RunConfig.create(body, "ppo", None, budget, seed, study) for seed in seeds]
 
 

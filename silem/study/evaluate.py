@@ -11,10 +11,10 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from silem import algorithms, bodies
-from silem.algorithms.gaifo import GAIfO
-from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
+from silem.algorithms.gaifo import GAIfO, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
+from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
 from silem.study.record import POLICY, RunRecord
 from silem.study.training import unclipped

@@ -62,6 +62,25 @@ def test_wins_by_hand() -> None:
     assert np.isnan(statistics.wins([], [1.0]))
 
 
+def test_interval_of_wins_by_hand_and_in_simulated_studies(rng: np.random.Generator) -> None:
+    # One pair, won: (1 - p)^2 = z^2 p (1 - p), so p = 1 / (1 + z^2).
+    z = stats.norm.ppf(0.975)
+    np.testing.assert_allclose(statistics.wins_interval([2.0], [1.0]), [1 / (1 + z**2), 1.0])
+    np.testing.assert_allclose(statistics.wins_interval([1.0], [2.0]), [0.0, z**2 / (1 + z**2)])
+    low, high = statistics.wins_interval([1.0, 2.0], [1.0, 2.0])
+    assert low == pytest.approx(1 - high) and 0 < low < 0.5
+    assert np.isnan(statistics.wins_interval([], [1.0])).all()
+    for count in (3, 5):
+        held = 0
+        for scores in rng.normal(size=(200, 2, count)):
+            low, high = statistics.wins_interval(scores[0] + 1, scores[1])
+            held += low <= stats.norm.cdf(0.5**0.5) <= high
+        assert 0.9 <= held / 200 <= 0.995
+    # five against five, all won, decide; three against three hardly
+    assert statistics.wins_interval(range(5, 10), range(5))[0] > 0.6
+    assert statistics.wins_interval(range(3, 6), range(3))[0] < 0.51
+
+
 @pytest.mark.parametrize("two", [False, True])
 def test_what_is_detectable_is_found_in_four_of_five_studies(
     two: bool, rng: np.random.Generator

@@ -122,5 +122,4 @@ def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
     note = (
         f"{title}: {len(ranked)} configurations; a dot is the mean over its trials, a line that of"
     )
-    style.footer(figure, f"{note} all with the value")
-    return figure
+    return style.finish(figure, (), f"{note} all with the value")
