@@ -51,6 +51,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("work ant --minutes 0", "--minutes: '0' is no whole number from 1"),
         ("work ant --method silem --budget tiny", "needs demonstrations of Ant0"),
         ("work ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
+        ("search ant/Ant3/silem --winner --sample 4", "is not known yet: 0 of 4 configurations"),
         ("status ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
         ("submit ant --on pbs --print", "unknown engine 'pbs'; allowed: slurm, htcondor, dask"),
         ("submit ant --on slurm --jobs 0", "--jobs: '0' is no whole number from 1"),
