@@ -22,7 +22,7 @@ from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import POLICY, RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, budget_named
-from silem.util import files, paths
+from silem.util import files
 from silem.util.errors import LARGEST, SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
@@ -269,13 +269,6 @@ def _words(options: argparse.Namespace) -> list[str]:
     return words + [word for module in options.modules for word in ("--import", module)]
 
 
-def _finished(run_id: str) -> RunRecord:
-    record = runs.find(run_id)
-    if record is None:
-        raise SilemError(f"there is no finished run {_short(run_id)} in {paths.data_dir()}")
-    return record
-
-
 def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
     text = f"{run_id}: return {result['return_mean']:.0f} +- {result['return_std']:.0f} over"
     text += f" {result['n_episodes']} episodes"
@@ -379,14 +372,14 @@ def _status(options: argparse.Namespace) -> None:
 @_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)
 def _show(options: argparse.Namespace) -> None:
     """Every value of a run, and where it comes from."""
-    config = _finished(options.run_id).run_config() if options.run_id else config_of(options)
+    config = runs.get(options.run_id).run_config() if options.run_id else config_of(options)
     print(config.describe())
 
 
 @_takes(_RUN_ID, _option("--episodes", type=_COUNT, default=10, help=_USUAL))
 def _evaluate(options: argparse.Namespace) -> None:
     """Evaluate a finished run's policy anew."""
-    record = _finished(options.run_id)
+    record = runs.get(options.run_id)
     from silem.study.evaluate import evaluate, load_policy
     from silem.study.training import task_options
 
@@ -412,7 +405,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
         raise SilemError("demonstrations needs either --body or --run")
     name = None
     if options.run:
-        record = _finished(options.run)
+        record = runs.get(options.run)
     else:
         record = demonstrate.demonstrator(options.body, options.budget, options.trial)
         name = None if options.trial is None else demonstrate.trial_name(record)
@@ -429,7 +422,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
 )
 def _render(options: argparse.Namespace) -> None:
     """Film a finished run's policy."""
-    record = _finished(options.run_id)
+    record = runs.get(options.run_id)
     try:
         from silem.report import film
     except ModuleNotFoundError as error:
@@ -447,7 +440,7 @@ def _render(options: argparse.Namespace) -> None:
 )
 def _export(options: argparse.Namespace) -> None:
     """Write a finished run's policy as numbers alone, for `silem.load_policy`."""
-    policy = _finished(options.run_id).file(POLICY)
+    policy = runs.get(options.run_id).file(POLICY)
     if options.out.suffix != policy.suffix:
         raise SilemError(f"a policy is exported as {policy.suffix}, not {_short(str(options.out))}")
     files.write_bytes(options.out, policy.read_bytes())

@@ -233,30 +233,23 @@ class GymnasiumBody(Body):
 def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[float]]) -> str:
     """Return PyBullet's own `pybullet_data/mjcf/<file>` with some attributes replaced.
 
-    The rest of the text stays as it is, byte for byte, so that two bodies of a family differ
-    exactly where they are meant to.
-
-    Args:
-        file: The file's name.
-        edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
-
-    Raises SilemError if the installed `pybullet_data` lacks the file, there is no such element or
-    attribute, or there is more than one.
+    `edits` are numbers by tag and name of the one element `<tag name="name">`, and attribute. The
+    rest of the text stays as it is, byte for byte: bodies of a family differ where they are meant
+    to. Raises SilemError unless there is the file, one such element, and the attribute.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")
     except OSError as error:
         raise SilemError(f"pybullet_data has no model {file!r} ({error})") from error
     for (tag, name, attribute), values in edits.items():
-        elements = [m for m in re.finditer(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in m[0]]
+        elements = [e for e in re.findall(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in e]
         if len(elements) != 1:
             raise SilemError(f"{len(elements)} elements <{tag} name={name!r}> in {file}, not one")
-        (element,) = elements
-        pattern, value = rf'(\s{attribute}=")[^"]*(")', numbers(*values)
-        edited, count = re.subn(pattern, rf"\g<1>{value}\g<2>", element[0])
+        replaced = rf'\g<1>{numbers(*values)}"'
+        edited, count = re.subn(rf'(\s{attribute}=")[^"]*"', replaced, elements[0])
         if count != 1:
             raise SilemError(f"<{tag} name={name!r}> has no attribute {attribute!r}")
-        xml = xml[: element.start()] + edited + xml[element.end() :]
+        xml = xml.replace(elements[0], edited)
     return xml
 
 

@@ -29,6 +29,8 @@ INFO_KEY = "skeletal_features"
 """Under which an environment's infos hold g(s), where it has a g of its own."""
 
 Infos = list[dict[str, Any]]
+Generators = Sequence[np.random.Generator]
+Stepped = tuple[np.ndarray, np.ndarray, np.ndarray, Infos]
 
 
 class Simulation(ABC):
@@ -38,13 +40,11 @@ class Simulation(ABC):
     filmed: Body | None = None  #: the first body, where it is another one than the environment's
 
     @abstractmethod
-    def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
-    ) -> tuple[np.ndarray, Infos]:
+    def begin(self, indices: np.ndarray, generators: Generators) -> tuple[np.ndarray, Infos]:
         """Start an episode of some bodies (n,); return first observations (n, O) and infos."""
 
     @abstractmethod
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Infos]:
+    def step(self, actions: np.ndarray) -> Stepped:
         """Step by actions (E, A); return observations (E, O), rewards, who fell, both (E,), infos.
 
         The arrays are new ones. A body that fell is left as it is.
@@ -166,8 +166,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> None:
         """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
-        Pictures of `width` times `height` pixels need the render mode "rgb_array". Raises
-        SilemError if an argument is not allowed.
+        Pictures of `width` times `height` pixels need the render mode "rgb_array".
         """
         self.observation_space, self.action_space = self._set_up(body, 1, render_mode, options)
         self.picture_size = width, height
@@ -200,10 +199,7 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         return observation, float(rewards[0]), bool(fallen[0]), False, info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (H, W, 3), uint8, or None without a render mode.
-
-        Raises SilemError before `reset`, or where nothing can be drawn.
-        """
+        """Return a picture (H, W, 3), uint8, or None without a render mode."""
         return None if self.render_mode is None else self._picture()
 
 
@@ -232,10 +228,7 @@ class BatchedEnv(_Filmed, VecEnv):
         render_mode: str | None = "rgb_array",
         **options: Any,
     ) -> None:
-        """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None.
-
-        Raises SilemError if an argument is not allowed.
-        """
+        """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None."""
         COUNT.check("n_envs", n_envs)
         spaces = self._set_up(body, int(n_envs), render_mode, options)
         metadata = self.metadata
@@ -277,10 +270,7 @@ class BatchedEnv(_Filmed, VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take (E, A) actions for the next `step_wait`.
-
-        Raises SilemError if they have another shape or are not finite, or before `reset`.
-        """
+        """Take (E, A) actions for the next `step_wait`; SilemError where they cannot be taken."""
         self._actions = self._check(actions, (self.num_envs, self.body.action_size))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -297,25 +287,15 @@ class BatchedEnv(_Filmed, VecEnv):
             for index in ended.tolist():
                 infos[index]["terminal_observation"] = observations[index].copy()
                 infos[index]["TimeLimit.truncated"] = not fallen[index]
-                infos[index]["episode"] = self._summary(index)
+                n_steps, t = int(self._lengths[index]), time.perf_counter() - self._built_at
+                infos[index]["episode"] = {"r": float(self._returns[index]), "l": n_steps, "t": t}
+                summary = self.simulation.summary(index, n_steps, self.max_steps)
+                infos[index]["episode"] |= summary
             observations[ended] = self._begin(ended)
         return observations, rewards.astype(np.float32), dones, infos
 
-    def _summary(self, index: int) -> dict[str, float]:
-        n_steps = int(self._lengths[index])
-        return {
-            "r": float(self._returns[index]),
-            "l": n_steps,
-            "t": time.perf_counter() - self._built_at,
-            **self.simulation.summary(index, n_steps, self.max_steps),
-        }
-
     def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
-
-        Raises SilemError for any other, without a render mode, before `reset`, or where nothing
-        can be drawn.
-        """
+        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array"."""
         choose("render mode", mode or "rgb_array", RENDER_MODES)
         if self.render_mode is None:
             raise SilemError("no pictures with render_mode None; allowed: render_mode='rgb_array'")

@@ -324,7 +324,7 @@ class Simulation(base.Simulation):
         self.observation_space = gymnasium.spaces.Box(-bound, bound, shape, np.float32)
 
     def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+        self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
         if not self.clients:
@@ -336,7 +336,7 @@ class Simulation(base.Simulation):
             observations.append(self.tasks[index].begin(self.clients[index].reset(angles)))
         return _clipped(observations), [{} for _ in generators]
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
+    def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
         rows = actions.tolist()
         # One kind of work after the other, so that its code is still in the processor's caches.

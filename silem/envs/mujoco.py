@@ -162,7 +162,7 @@ class Simulation(base.Simulation):
         return self._batch.get_data(index)
 
     def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+        self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
         pairs = zip(generators, indices.tolist(), strict=True)
@@ -171,7 +171,7 @@ class Simulation(base.Simulation):
         self._start_xy[indices] = self.qpos[indices, :2]
         return _observed(self.read(indices))
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
+    def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
         actions = actions.clip(-1.0, 1.0)
         failed = self.advance(actions)

@@ -4,8 +4,6 @@ The box says which claims hold, which do not and which are undecided, and what s
 the film's caption says how many trials do.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

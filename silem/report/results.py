@@ -6,9 +6,8 @@ as missing and runs of other settings as set aside; neither is passed over in si
 `frame` is such a table, of one study at one budget, and a cell a method on a body.
 """
 
-from __future__ import annotations
-
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import chain
@@ -42,6 +41,13 @@ PAPER_LOSS = {
 """The study that has a study's cells with the paper's loss for D, without our gradient penalty."""
 
 _WITHOUT_D = ("ppo", "random")
+
+
+class _Kept(list[Any]):
+    """What a table carries along: pandas copies ``attrs`` deeply in everything that it does."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "_Kept":
+        return self
 
 
 def load_records(
@@ -85,10 +91,10 @@ def load_records(
     set_aside += list(found.drop(frame.index)["run_id"])
     frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
     made = set(frame["run_id"])
-    missing = [_keys(plan) for plan in plans if plan.run_id not in made]
+    missing = _Kept(_keys(plan) for plan in plans if plan.run_id not in made)
     frame = _with_scores(frame, study, budget)
     frame.attrs = {"study": study, "budget": budget, "missing": missing}
-    frame.attrs["set_aside"] = sorted(set_aside)
+    frame.attrs["set_aside"] = _Kept(sorted(set_aside))
     return frame
 
 
@@ -131,11 +137,14 @@ def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
     return None
 
 
+def _keys(config: RunConfig) -> dict[str, Any]:
+    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
+
+
 def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
     evaluation, source = record.evaluation, record.provenance
-    return {
+    return _keys(config) | {
         "plan": plan.run_id,
-        **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
         "steps": evaluation.get("steps_mean", np.nan),
         "disc_reward": evaluation["disc_reward_mean"],
@@ -150,10 +159,6 @@ def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any
         "returns": tuple(evaluation["returns"]),
         "folder": str(record.folder),
     }
-
-
-def _keys(config: RunConfig) -> dict[str, Any]:
-    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
@@ -234,20 +239,18 @@ def trace(frame: pd.DataFrame) -> HTML:
     folder = cells(study)[0].study
     kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
     where = f"records in data/results/{folder}" if kept else "local runs"
-    missing = frame.attrs["missing"]
-    set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
+    missing, aside = frame.attrs["missing"], [{"run_id": n} for n in frame.attrs["set_aside"]]
     folded = {
         f"the runs, and how to rerun each ({where})": frame.to_dict("records"),
         f"planned runs that are not made yet ({len(missing)})": missing,
-        f"runs of other settings or seeds, not shown ({len(set_aside)})": set_aside,
+        f"runs of other settings or seeds, not shown ({len(aside)})": aside,
     }
     page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
     page += web.links(frame) if len(frame) else ""
     for summary, shown in folded.items():
         texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
         codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]
-        items = "".join(f"<li>{code}</li>" for code in codes)
-        if items:
+        if items := "".join(f"<li>{code}</li>" for code in codes):
             page += f"<details><summary>{escape(summary)}</summary><ul>{items}</ul></details>"
     return HTML(f"{page}</div>")
 
@@ -261,13 +264,12 @@ def commits(frame: pd.DataFrame) -> str:
 
 def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
-    study, budget = context(frame)
-    return len(seeds_of(study, BUDGETS[budget]))
+    return len(seeds_of(frame.attrs["study"], BUDGETS[frame.attrs["budget"]]))
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
-    known = {cell.body for cell in cells(context(frame)[0])}
+    known = {cell.body for cell in cells(frame.attrs["study"])}
     return [name for name in frame.attrs.get("bodies", _sorted(known)) if name in known]
 
 
@@ -290,7 +292,7 @@ def upright_label(frame: pd.DataFrame) -> str:
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     """Tell whether a table's study has a cell, or shares another study's."""
-    planned = {(cell.method, cell.body) for cell in cells(context(frame)[0])}
+    planned = {(cell.method, cell.body) for cell in cells(frame.attrs["study"])}
     return method in frame.attrs.get("shared", ()) or (method, body) in planned
 
 
@@ -306,19 +308,19 @@ def select(
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
     narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
     missing = frame.attrs["missing"]
-    missing = [run for run in missing if run["method"] in methods and run["body"] in shown]
+    missing = _Kept(r for r in missing if r["method"] in methods and r["body"] in shown)
     narrowed.attrs = frame.attrs | {"missing": missing, "bodies": shown}
     return narrowed
 
 
-def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell, one per trial, no stand-ins."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & ~frame["stand_in"]]
+def cell(frame: pd.DataFrame, method: str, body: str, *, stand_ins: bool = False) -> pd.DataFrame:
+    """Return the rows of one cell, one per trial, or those that stand in for missing ones."""
+    rows = frame["method"].eq(method) & frame["body"].eq(body)
+    return frame[rows & frame["stand_in"].eq(stand_ins)]
 
 
-def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return one cell's runs of another number of iterations, in place of missing ones."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & frame["stand_in"]]
+stand_ins = functools.partial(cell, stand_ins=True)
+"""One cell's runs of another number of iterations, in place of missing ones."""
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -355,11 +357,8 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     return one - other[0] if other else one
 
 
-def find(run_id: str) -> RunRecord:
-    """Return the record of a finished run; SilemError if there is none."""
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
-    return record
+find = runs.get
+"""The record of a finished run; SilemError if there is none."""
 
 
 def load_curve(run_id: str) -> pd.DataFrame:

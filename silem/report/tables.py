@@ -1,9 +1,8 @@
 """Tables for the book: pandas Stylers of the paper's tables and of the runs' records."""
 
-from __future__ import annotations
-
 import hashlib
 import html
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -106,14 +105,6 @@ def coverages(counts: Sequence[int] = (2, 3, 5)) -> Styler:
     return styled(pd.DataFrame(rows), "True coverage of a 95 % interval of the mean")
 
 
-def _lasts(frame: pd.DataFrame, runs: pd.DataFrame) -> dict[str, str]:
-    """Return the columns that say how long some runs stay up: Ants' episodes end, others do not."""
-    if results.can_fall(frame) and results.original_body(frame):
-        return {"steps": _mean(runs["steps"], spread=True)}
-    label = results.upright_label(frame).removeprefix("share of ")
-    return {label: _mean(100 * runs["upright"], 0, " %")}
-
-
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and time.
 
@@ -121,27 +112,27 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     Runs of another number of iterations than planned stand in rows of their own.
     """
     rows, original = [], results.original_body(frame)
-    for body in results.body_names(frame):
-        for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
-            label = style.method(method, original).label
-            shown = [(label, results.cell(frame, method, body))]
-            for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
-                planned = runs["planned_iterations"].iloc[0]
-                shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
-            best = results.against_best(frame, method, body)
-            rows += [
-                {
-                    "body": body,
-                    "method": words,
-                    "trials": len(runs),
-                    "return": _mean(runs["return_mean"], spread=True),
-                    "score": _mean(runs["normalised"], 2, spread=True),
-                    "score, best expert": _mean(best if words == label else [], 2),
-                    "speed (m/s)": _mean(runs["speed_m_s"], 2),
-                    **_lasts(frame, runs),
-                    "discriminator reward": _mean(runs["disc_reward"]),
-                    "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
-                }
-                for words, runs in shown
-            ]
+    lasts = results.can_fall(frame) and original  # Ants' episodes end, others do not or say a share
+    upright = results.upright_label(frame).removeprefix("share of ")
+    cells = itertools.product(results.body_names(frame), style.METHODS)
+    for body, method in ((b, m) for b, m in cells if results.is_planned(frame, m, b)):
+        label = style.method(method, original).label
+        shown = [(label, results.cell(frame, method, body))]
+        for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
+            planned = runs["planned_iterations"].iloc[0]
+            shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
+        best = results.against_best(frame, method, body)
+        for words, runs in shown:
+            row = {"body": body, "method": words, "trials": len(runs)}
+            row["return"] = _mean(runs["return_mean"], spread=True)
+            if lasts:
+                row["steps"] = _mean(runs["steps"], spread=True)
+            row["score"] = _mean(runs["normalised"], 2, spread=True)
+            row["score, best expert"] = _mean(best if words == label else [], 2)
+            row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
+            if not lasts:
+                row[upright] = _mean(100 * runs["upright"], 0, " %")
+            row["discriminator reward"] = _mean(runs["disc_reward"])
+            row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
+            rows.append(row)
     return styled(pd.DataFrame(rows))

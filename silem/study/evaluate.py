@@ -11,8 +11,7 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from silem import algorithms, bodies
-from silem.algorithms.gaifo import GAIfO
-from silem.algorithms.windows import LearnerFeatures, episode_windows
+from silem.algorithms.gaifo import GAIfO, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
 from silem.envs.base import INFO_KEY

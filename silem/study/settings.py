@@ -140,7 +140,8 @@ class HyperParameters:
 
 def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     """Return a hyper-parameter's value in its field's type, or raise SilemError."""
-    name, default, rule = item.name, item.default, item.metadata
+    name, rule = item.name, item.metadata
+    default: Any = item.default
     if choices := rule.get("choices"):
         return choose(name, value, choices)
     if isinstance(default, bool):

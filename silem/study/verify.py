@@ -183,7 +183,7 @@ def check_source(record: RunRecord) -> None:
             if width != there.n_features:
                 raise SilemError(f"{TRANSFORM} is of {width} features, not {there.n_features}")
     source = record.provenance
-    if config.budget.is_evidence and (history := _history()) is not None:
+    if config.is_published and (history := _history()) is not None:
         for commit in (source.get("git_commit"), *(source.get("earlier_commits") or ())):
             if commit not in history:
                 raise SilemError(f"{record.run_id} names commit {commit}, which is not in history")

@@ -67,10 +67,11 @@ class NumberKind(NamedTuple):
 
 
 COUNT = NumberKind(
-    f"a whole number from 1 to {LARGEST}", lambda n: isinstance(n, Integral) and 0 < n <= LARGEST
+    f"a whole number from 1 to {LARGEST}",
+    lambda n: isinstance(n, Integral) and 0 < int(n) <= LARGEST,
 )
 SEED = NumberKind(
-    "a whole number from 0 to 2**32 - 1", lambda n: isinstance(n, Integral) and 0 <= n < 2**32
+    "a whole number from 0 to 2**32 - 1", lambda n: isinstance(n, Integral) and 0 <= int(n) < 2**32
 )
 NUMBER = NumberKind("a finite number", lambda x: abs(x) <= _HIGHEST)
 RATE = NumberKind("a finite number above 0", lambda x: 0 < x <= _HIGHEST)

@@ -3,8 +3,6 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from pandas.io.formats.style import Styler
 
 from silem import bodies
 from silem.bodies.body import MAX_STEPS
-from silem.report import results, scores, statistics, style, tables
+from silem.report import results, scores, statistics, style, tables, transforms
 from silem.report.scores import IMITATORS
 from silem.report.style import number
 from silem.report.transforms import feature_names
@@ -23,7 +21,7 @@ from silem.study.studies import seeds_of
 
 _FEWEST_BODIES = 3  # of which a rank correlation is told
 _NAMED = 3  # entries that the sentence names
-_TITLES = {"A": "A, diagonal", "b": "b, offset"}
+_ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
 _COLUMNS = ("entry", "feature", "rho", "low", "high")
 SHARE, STANDING = "survival, of the expert's return", "standing"
 
@@ -91,7 +89,7 @@ def correlations(frame: pd.DataFrame) -> pd.DataFrame:
     if runs["body"].nunique() >= _FEWEST_BODIES:
         lengths = [bodies.get(body).length[1] for body in runs["body"]]
         learned = [results.load_transform(run_id) for run_id in runs["run_id"]]
-        for entry in _TITLES:
+        for entry in _ENTRIES:
             columns = np.array([arrays[entry] for arrays in learned]).T
             for feature, values in zip(feature_names(runs["body"][0]), columns, strict=True):
                 rows.append((entry, feature, *statistics.rank_correlation(lengths, values)))
@@ -119,21 +117,15 @@ def tracking_says(found: pd.DataFrame) -> str:
 def tracking(frame: pd.DataFrame) -> Figure:
     """Draw `correlations`, feature by feature; what may be chance is grey."""
     runs = scores.runs_of("by_feature", frame)
-    found, names = correlations(frame), feature_names(results.body_names(frame)[0])
-    figure, panels = style.new_figure(5.9, ncols=2, sharey=True)
-    for axes, (entry, title) in zip(panels, _TITLES.items(), strict=True):
-        axes.set(xlim=(-1.05, 1.05), ylim=(len(names) - 0.4, -0.6))
-        axes.set_title(title)
-        axes.set_xlabel("rank correlation with the links' length")
-        axes.set_yticks(range(len(names)), names)
-        axes.tick_params(axis="y", length=0)
-        axes.axvline(0, color=style.MUTED, lw=1, ls=style.DASHED)
-        for place, row in enumerate(found[found["entry"] == entry].itertuples()):
+    found = correlations(frame)
+    figure, panels, places = transforms.sheet(results.body_names(frame)[0], 5.9, _ENTRIES)
+    for entry, axes in panels.items():
+        axes.set(xlim=(-1.05, 1.05), xlabel="rank correlation with the links' length")
+        for place, row in zip(places, found[found["entry"] == entry].itertuples(), strict=False):
             sure = row.low > 0 or row.high < 0
             color = style.method("silem").color if sure else style.MUTED
             axes.plot([row.low, row.high], [place, place], color=color, lw=1.4)
             axes.plot(row.rho, place, "o", color=color, ms=4.5)
         if found.empty:
             style.say(axes, "not run yet")
-    scores.footer(figure, runs, "lines: 95 % intervals; blue: zero is outside")
-    return figure
+    return scores.finish(figure, runs, note="lines: 95 % intervals; blue: zero is outside")

@@ -3,8 +3,6 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 
