@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PATH := $(abspath $(BIN)):$(PATH)
 
 .DEFAULT_GOAL := help
-.PHONY: help install book pages pdf test check format figures clean
+.PHONY: help install book pdf test check format figures clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,9 +31,6 @@ $(STAMP): environment.txt pyproject.toml .ci/debian-packages
 
 book: $(STAMP) ## execute the notebooks and build the book: _build/html/index.html
 	$(BIN)/python -m silem.report.build --workers $(WORKERS)
-
-pages: $(STAMP) ## rebuild the book from the notebooks executed last time (for prose work)
-	$(BIN)/python -m silem.report.build --workers $(WORKERS) --reuse-executed
 
 pdf: $(STAMP) ## the whole book as _build/silem.pdf, printed by Debian's chromium
 	$(BIN)/python -m silem.report.pdf

@@ -27,6 +27,7 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from silem import paper
+from silem.algorithms.gaifo import episode_windows
 from silem.algorithms.networks import (
     AffineTransform,
     Discriminator,
@@ -34,7 +35,6 @@ from silem.algorithms.networks import (
     cross_entropy,
     discriminator_loss,
 )
-from silem.algorithms.windows import episode_windows
 from silem.util import files, paths
 
 FILE = paths.REPO / "data" / "search" / "reversal.json"

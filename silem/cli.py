@@ -4,16 +4,16 @@ What a command needs beyond names and settings (PyTorch, the simulators, drawing
 so that ``silem status`` and ``silem --help`` answer at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import dataclasses
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from statistics import mean
 from typing import Any, NoReturn
 
 import silem
@@ -21,9 +21,9 @@ from silem import bodies
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
 from silem.study.record import POLICY, RECORD, RunRecord
-from silem.study.settings import BUDGETS, LARGEST, METHODS, Budget, HyperParameters, budget_named
-from silem.util import files, paths
-from silem.util.errors import SilemError, choose, clipped
+from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, budget_named
+from silem.util import files
+from silem.util.errors import LARGEST, SilemError, choose, clipped
 
 OK, FAILED, BAD_REQUEST, INTERRUPTED, CLOSED_PIPE = 0, 1, 2, 130, 141
 """Exit codes; the last two are a shell's for SIGINT and SIGPIPE."""
@@ -88,6 +88,104 @@ def _end(code: int, message: str) -> int:
 # ---------------------------------------------------------------- what can be said
 
 
+def _checked(convert: Callable[[str], Any], otherwise: str) -> Callable[[str], Any]:
+    """Return the type of an option: what `convert` makes of a text, None where it takes it not."""
+
+    def typed(text: str) -> Any:
+        if (value := convert(text)) is None:
+            raise argparse.ArgumentTypeError(f"{_short(text)} {otherwise}")
+        return value
+
+    return typed
+
+
+def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], Any]:
+    """Return the type of an option that takes a whole number within bounds."""
+
+    def convert(text: str) -> int | None:
+        digits = re.fullmatch("0*([0-9]{1,10})", text)
+        return int(digits[1]) if digits and lowest <= int(digits[1]) <= highest else None
+
+    return _checked(convert, f"is no whole number from {lowest} to {highest}")
+
+
+def _seconds(text: str) -> float | None:
+    value = float(text) if re.fullmatch(r"[0-9]+\.?[0-9]*|\.[0-9]+", text) else 0.0
+    return value if 0 < value <= LONGEST_FILM_S else None
+
+
+def _film(text: str) -> Path | None:
+    return path if (path := Path(text)).suffix in FILM_ENDINGS and not path.is_dir() else None
+
+
+def _short(text: str) -> str:
+    return repr(clipped(text, 60))
+
+
+Option = tuple[tuple[str, ...], dict[str, Any]]
+_COMMANDS: list[tuple[Callable[[argparse.Namespace], None], tuple[Option, ...]]] = []
+
+
+def _option(*names: str, **how: Any) -> Option:
+    """Return the arguments of one call of `argparse`'s `add_argument`."""
+    return names, how
+
+
+def _takes(*options: Option) -> Callable[..., Any]:
+    """Make a function the command of its name, described as it is, which takes these options."""
+
+    def add(execute: Callable[[argparse.Namespace], None]) -> Callable[..., None]:
+        _COMMANDS.append((execute, options))
+        return execute
+
+    return add
+
+
+_TRIAL, _COUNT, _USUAL = _whole(0, 2**31 - 1), _whole(1), "default: %(default)s"
+_ENDINGS = ", ".join(FILM_ENDINGS)
+_FILM = _checked(_film, f"is a folder, or ends in none of {_ENDINGS}")
+_SECONDS = _checked(_seconds, f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}")
+_EVERYWHERE = (
+    _option("--import", dest="modules", action="append", default=[], metavar="MODULE",
+            help="load a Python module that registers bodies of your own"),
+    _option("--quiet", action="store_true", help="no progress bar"),
+    _option("--with-input", action="store_true", help="stop when the standard input ends"),
+)  # fmt: skip
+_ITERATIONS = _option(
+    "--iterations", type=_COUNT, metavar="N", help="the budget with N iterations instead"
+)
+_CELL = (
+    _option("--body", "--env", metavar="NAME",
+            help="the learner's body (see `bodies`), or the id of any Gymnasium environment"),
+    _option("--method", help=", ".join(METHODS)),
+    _option("--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file"),
+    _option("--budget", help=f"{', '.join(BUDGETS)} (default: tiny)"),
+    _ITERATIONS,
+    _option("--seed", type=_TRIAL, help="default: 0"),
+    _option("--study", help="default: the body's family"),
+    _option("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter"),
+)  # fmt: skip
+_STUDY = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
+_STUDIES = _option("studies", nargs="+", **_STUDY)
+_RUNS = (
+    _option("--budget", default="book", help=f"{', '.join(BUDGETS)} (default: book)"),
+    _ITERATIONS,
+    _option("--trials", type=_COUNT, help="per cell; default: as many as budget and study have"),
+    _option("--sample", type=_COUNT, metavar="N", help="only the first N settings of a search"),
+)
+_ONLY = tuple(
+    _option(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
+    for what in ("body", "method")
+)
+_LOOP = (
+    _option("--workers", type=_whole(1, 1024), metavar="K",
+            help="so many processes, with one bar; default: this one alone"),
+    _option("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then"),
+    _option("--retry", action="store_true", help="also what has failed before"),
+)  # fmt: skip
+_RUN_ID = _option("run_id", metavar="RUN_ID")
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise SilemError(f"{message} (see `{self.prog} --help`)")
@@ -102,156 +200,15 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     whole.add_argument("--version", action="version", version=f"silem {silem.__version__}")
-    commands = whole.add_subparsers(required=True, metavar="COMMAND")
-    trial, count, usual = _whole(0, 2**31 - 1), _whole(1), "default: %(default)s"
-
-    def command(execute: Callable[[argparse.Namespace], None]) -> Callable[..., Any]:
-        """Add a command, named and described as its function is, and return what adds options."""
+    added = whole.add_subparsers(required=True, metavar="COMMAND")
+    for execute, options in _COMMANDS:
         text = (execute.__doc__ or "").rstrip(".")
         text = text[:1].lower() + text[1:]
-        added = commands.add_parser(execute.__name__.strip("_"), help=text, description=text)
-        added.set_defaults(command=execute)
-        add = added.add_argument
-        load = "load a Python module that registers bodies of your own"
-        add("--import", dest="modules", action="append", default=[], metavar="MODULE", help=load)
-        add("--quiet", action="store_true", help="no progress bar")
-        add("--with-input", action="store_true", help="stop when the standard input ends")
-        return add
-
-    def add_budget(add: Callable[..., Any], default: str | None) -> None:
-        names = f"{', '.join(BUDGETS)} (default: {default or 'tiny'})"
-        add("--budget", default=default, help=names)
-        add("--iterations", type=count, metavar="N", help="the budget with N iterations instead")
-
-    def add_cell(add: Callable[..., Any]) -> None:
-        moved = "the learner's body (see `bodies`), or the id of any Gymnasium environment"
-        add("--body", "--env", metavar="NAME", help=moved)
-        add("--method", help=", ".join(METHODS))
-        add("--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file")
-        add_budget(add, None)
-        add("--seed", type=trial, help="default: 0")
-        add("--study", help="default: the body's family")
-        add("--set", action="append", metavar="NAME=VALUE", help="a hyper-parameter")
-
-    def add_runs(add: Callable[..., Any], only: bool = True) -> None:
-        add_budget(add, "book")
-        add("--trials", type=count, help="per cell; default: as many as budget and study have")
-        add("--sample", type=count, metavar="N", help="only the first N configurations of a search")
-        for what in ("body", "method") if only else ():
-            add(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
-
-    def add_loop(add: Callable[..., Any], workers: int | None = None) -> None:
-        many = "so many processes, with one bar; default: this one alone"
-        add("--workers", type=_whole(1, 1024), default=workers, metavar="K", help=many)
-        add("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then")
-        add("--retry", action="store_true", help="also what has failed before")
-
-    add = command(_run)
-    add_cell(add)
-    add("--force", action="store_true", help="start anew, even if finished")
-
-    several = {"metavar": "STUDY", "help": "a study, or a search STUDY/BODY/METHOD"}
-    add = command(_work)
-    add("studies", nargs="+", **several)
-    add_runs(add)
-    add_loop(add)
-
-    add = command(_campaign)
-    add("--study", nargs=1, dest="studies", default=["halfcheetah"], **several)
-    add_runs(add)
-    add_loop(add, workers=2)
-
-    add = command(_search)
-    add("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell")
-    add_runs(add, only=False)
-    add_loop(add)
-
-    add = command(_submit)
-    add("studies", nargs="+", **several)
-    add_runs(add)
-    add("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask")
-    add("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4")
-    add("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more")
-    add("--print", action="store_true", help="show what would be submitted")
-
-    add = command(_status)
-    add("studies", nargs="*", default=["halfcheetah"], **several)
-    add_runs(add, only=False)
-
-    add = command(_show)
-    add("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:")
-    add_cell(add)
-
-    add = command(_evaluate)
-    add("run_id", metavar="RUN_ID")
-    add("--episodes", type=count, default=10, help=usual)
-
-    add = command(_demonstrations)
-    add("--body", help="record its best expert, at --budget")
-    add("--budget", default="book", help=usual)
-    add("--trial", type=trial, help="that trial's expert instead of the best")
-    add("--run", metavar="RUN_ID", help="record this run instead")
-    add("--trajectories", type=count, default=20, help=usual)
-    add("--force", action="store_true", help="replace another expert's")
-
-    add = command(_render)
-    add("run_id", metavar="RUN_ID")
-    add("--out", type=_film, required=True, help=f"the file to write ({', '.join(FILM_ENDINGS)})")
-    longest = f"up to {LONGEST_FILM_S:.0f}; {usual}"
-    add("--seconds", type=_seconds, default=6.0, help=longest)
-    add("--seed", type=trial, default=0)
-
-    add = command(_export)
-    add("run_id", metavar="RUN_ID")
-    add("--out", type=Path, required=True, help="the file to write (.safetensors)")
-
-    add = command(_verify)
-    add("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published")
-    add("--episodes", type=_whole(0), default=verify.N_EPISODES, help=f"of each policy; {usual}")
-
-    command(_bodies)
-
-    add = command(_mocap)
-    add("--asf", type=Path, help="the skeleton of a clip of your own")
-    add("--amc", type=Path, help="the clip")
-    add("--rate-hz", type=float, help="its frames per second, at CMU mostly 120")
-    add("--name", help="what --demonstrations will find it by")
-    add("--floor-slope", type=float, default=0.0, help="rise in m per m forward")
+        command = added.add_parser(execute.__name__.strip("_"), help=text, description=text)
+        command.set_defaults(command=execute)
+        for names, how in (*_EVERYWHERE, *options):
+            command.add_argument(*names, **how)
     return whole
-
-
-def _whole(lowest: int, highest: int = LARGEST) -> Callable[[str], int]:
-    """Return the type of an option that takes a whole number within bounds."""
-
-    def convert(text: str) -> int:
-        digits = text.lstrip("0") or text[-1:]
-        whole = text.isascii() and text.isdecimal() and len(digits) <= len(str(highest))
-        if not (whole and lowest <= int(digits) <= highest):
-            why = f"is no whole number from {lowest} to {highest}"
-            raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
-        return int(digits)
-
-    return convert
-
-
-def _seconds(text: str) -> float:
-    value = float(text) if text.isascii() and text.replace(".", "", 1).isdecimal() else 0.0
-    if not 0 < value <= LONGEST_FILM_S:
-        why = f"is no number of seconds above 0, up to {LONGEST_FILM_S:.0f}"
-        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
-    return value
-
-
-def _film(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in FILM_ENDINGS or path.is_dir():
-        why = f"is a folder, or ends in none of {', '.join(FILM_ENDINGS)}"
-        raise argparse.ArgumentTypeError(f"{_short(text)} {why}")
-    return path
-
-
-def _short(text: str) -> str:
-    return repr(clipped(text, 60))
 
 
 def budget_of(options: argparse.Namespace) -> Budget:
@@ -275,10 +232,8 @@ def config_of(options: argparse.Namespace) -> RunConfig:
             raise SilemError(f"--set takes NAME=VALUE, not {_short(text)}")
         choose(f"setting of {method} on {body}", name, allowed)
         overrides[name] = _value(name, value)
-    cell = (body, method, options.demonstrations)
-    return RunConfig.create(
-        *cell, budget_of(options), options.seed or 0, options.study, **overrides
-    )
+    cell, budget = (body, method, options.demonstrations), budget_of(options)
+    return RunConfig.create(*cell, budget, options.seed or 0, options.study, **overrides)
 
 
 def _value(name: str, text: str) -> Any:
@@ -291,21 +246,27 @@ def _value(name: str, text: str) -> Any:
     raise SilemError(f"--set {name}: {_short(text)} is no number, list of numbers or word")
 
 
-def _finished(run_id: str) -> RunRecord:
-    record = runs.find(run_id)
-    if record is None:
-        raise SilemError(f"there is no finished run {_short(run_id)} in {paths.data_dir()}")
-    return record
+def _configs(options: argparse.Namespace) -> list[RunConfig]:
+    """Return the runs of all studies asked for, one study after the other."""
+    only = {name: getattr(options, name, None) for name in ("body", "method")}
+    budget, trials, sample = budget_of(options), options.trials, options.sample
+    if getattr(options, "winner", False):
+        return studies.fresh_configs(options.studies[0], budget, trials, sample)
+    return [
+        config
+        for study in options.studies
+        for config in studies.study_configs(study, budget, trials, sample, **only)
+    ]
 
 
-# ---------------------------------------------------------------- commands
-
-
-def _run(options: argparse.Namespace) -> None:
-    """Make one run, or go on with it."""
-    record = runs.run(config_of(options), not options.quiet, options.force)
-    _print_evaluation(record.run_id, record.evaluation)
-    print(record.folder / RECORD)
+def _words(options: argparse.Namespace) -> list[str]:
+    """Return the command line of a loop that does what these options ask for."""
+    winner = ["--winner"] if getattr(options, "winner", False) else []
+    words = ["search" if winner else "work", *options.studies, *winner]
+    for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
+        if (said := getattr(options, name, None)) is not None:
+            words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
+    return words + [word for module in options.modules for word in ("--import", module)]
 
 
 def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
@@ -318,28 +279,18 @@ def _print_evaluation(run_id: str, result: dict[str, Any]) -> None:
     print(text)
 
 
-def _configs(options: argparse.Namespace) -> list[RunConfig]:
-    """Return the runs of all studies asked for, one study after the other."""
-    only = {name: getattr(options, name, None) for name in ("body", "method")}
-    budget, trials, sample = budget_of(options), options.trials, options.sample
-    return [
-        config
-        for study in options.studies
-        for config in studies.study_configs(study, budget, trials, sample, **only)
-    ]
+# ---------------------------------------------------------------- commands
 
 
-def _words(options: argparse.Namespace) -> list[str]:
-    """Return the command line of a loop that does what these options ask for."""
-    words = ["work", *options.studies]
-    for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
-        if (said := getattr(options, name, None)) is not None:
-            words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
-    for module in options.modules:
-        words += ["--import", module]
-    return words
+@_takes(*_CELL, _option("--force", action="store_true", help="start anew, even if finished"))
+def _run(options: argparse.Namespace) -> None:
+    """Make one run, or go on with it."""
+    record = runs.run(config_of(options), not options.quiet, options.force)
+    _print_evaluation(record.run_id, record.evaluation)
+    print(record.folder / RECORD)
 
 
+@_takes(_STUDIES, *_RUNS, *_ONLY, *_LOOP)
 def _work(options: argparse.Namespace) -> None:
     """Make what is missing of studies, run after run."""
     from silem.study import work
@@ -356,12 +307,44 @@ def _work(options: argparse.Namespace) -> None:
         work.work(configs, options.minutes or math.inf, progress, made)
 
 
+@_takes(
+    _option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
+    *_RUNS, *_ONLY, *_LOOP,
+)  # fmt: skip
 def _campaign(options: argparse.Namespace) -> None:
-    """`work --retry` on one study, by several processes."""
-    options.retry = True
+    """Make what is missing of one study, by two workers if it is not said by how many."""
+    options.workers = options.workers or 2
     _work(options)
 
 
+_WINNER = "when it is finished: its best, and the supplement's, on seeds that it has not used"
+
+
+@_takes(
+    _option("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell"), *_RUNS, *_LOOP,
+    _option("--winner", action="store_true", help=_WINNER),
+)  # fmt: skip
+def _search(options: argparse.Namespace) -> None:
+    """Run a grid of the supplement, and rank its configurations."""
+    cell = options.studies[0]
+    if "/" not in cell:
+        raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(cell)}")
+    _work(options)
+    found = studies.ranking(cell, budget_of(options), options.trials, options.sample)
+    for place, entry in enumerate(found, 1):
+        said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
+        mark = "  (the supplement's best)" if entry.is_papers else ""
+        fresh = f"  (on fresh seeds: {mean(entry.fresh):.0f})" if entry.fresh else ""
+        print(f"{place:4} {entry.score:8.0f}  {said}{mark}{fresh}")
+
+
+@_takes(
+    _STUDIES, *_RUNS, *_ONLY,
+    _option("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask"),
+    _option("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4"),
+    _option("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more"),
+    _option("--print", action="store_true", help="show what would be submitted"),
+)  # fmt: skip
 def _submit(options: argparse.Namespace) -> None:
     """Hand work loops over to a cluster."""
     from silem.study import submit, work
@@ -377,18 +360,7 @@ def _submit(options: argparse.Namespace) -> None:
     print(submit.submit(options.on, words, said))
 
 
-def _search(options: argparse.Namespace) -> None:
-    """Run a grid of the supplement, and rank its configurations."""
-    if "/" not in options.studies[0]:
-        raise SilemError(f"a search is STUDY/BODY/METHOD, not {_short(options.studies[0])}")
-    _work(options)
-    found = studies.ranking(options.studies[0], budget_of(options), options.trials)
-    for place, entry in enumerate(found, 1):
-        said = " ".join(f"{name}={value}" for name, value in entry.settings.items())
-        mark = "  (the supplement's best)" if entry.is_papers else ""
-        print(f"{place:4} {entry.score:8.0f}  {said}{mark}")
-
-
+@_takes(_option("studies", nargs="*", default=["halfcheetah"], **_STUDY), *_RUNS)
 def _status(options: argparse.Namespace) -> None:
     """What of studies is finished, running, failed, missing, and how long the rest takes."""
     from silem.study import work
@@ -397,15 +369,17 @@ def _status(options: argparse.Namespace) -> None:
         print(work.status(study, budget_of(options), options.trials, options.sample))
 
 
+@_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)
 def _show(options: argparse.Namespace) -> None:
     """Every value of a run, and where it comes from."""
-    config = _finished(options.run_id).run_config() if options.run_id else config_of(options)
+    config = runs.get(options.run_id).run_config() if options.run_id else config_of(options)
     print(config.describe())
 
 
+@_takes(_RUN_ID, _option("--episodes", type=_COUNT, default=10, help=_USUAL))
 def _evaluate(options: argparse.Namespace) -> None:
     """Evaluate a finished run's policy anew."""
-    record = _finished(options.run_id)
+    record = runs.get(options.run_id)
     from silem.study.evaluate import evaluate, load_policy
     from silem.study.training import task_options
 
@@ -415,27 +389,40 @@ def _evaluate(options: argparse.Namespace) -> None:
     _print_evaluation(record.run_id, result.to_dict())
 
 
+@_takes(
+    _option("--body", help="record its best expert, at --budget"),
+    _option("--budget", default="book", help=_USUAL),
+    _option("--trial", type=_TRIAL, help="that trial's expert instead of the best"),
+    _option("--run", metavar="RUN_ID", help="record this run instead"),
+    _option("--trajectories", type=_COUNT, default=20, help=_USUAL),
+    _option("--force", action="store_true", help="replace another expert's"),
+)
 def _demonstrations(options: argparse.Namespace) -> None:
     """Record an expert's demonstrations."""
-    from silem.study.demonstrate import demonstrate, demonstrator, describe, trial_name
+    from silem.study import demonstrate
 
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
     name = None
     if options.run:
-        record = _finished(options.run)
+        record = runs.get(options.run)
     else:
-        record = demonstrator(options.body, options.budget, options.trial)
-        name = None if options.trial is None else trial_name(record)
-    path = demonstrate(
-        record, options.trajectories, name=name, force=options.force, progress=not options.quiet
-    )
-    print(f"{path}: {describe(path.stem)}")
+        record = demonstrate.demonstrator(options.body, options.budget, options.trial)
+        name = None if options.trial is None else demonstrate.trial_name(record)
+    how = {"name": name, "force": options.force, "progress": not options.quiet}
+    path = demonstrate.demonstrate(record, options.trajectories, **how)
+    print(f"{path}: {demonstrate.describe(path.stem)}")
 
 
+@_takes(
+    _RUN_ID,
+    _option("--out", required=True, type=_FILM, help=f"the file to write ({_ENDINGS})"),
+    _option("--seconds", type=_SECONDS, default=6.0, help=f"up to {LONGEST_FILM_S:.0f}; {_USUAL}"),
+    _option("--seed", type=_TRIAL, default=0),
+)
 def _render(options: argparse.Namespace) -> None:
     """Film a finished run's policy."""
-    record = _finished(options.run_id)
+    record = runs.get(options.run_id)
     try:
         from silem.report import film
     except ModuleNotFoundError as error:
@@ -444,20 +431,27 @@ def _render(options: argparse.Namespace) -> None:
 
     learner, policy = record.run_config().learner, load_policy(record)
     shown = {"duration_s": options.seconds, "seed": options.seed, "progress": not options.quiet}
-    clip = film.rollout(learner, policy, **shown)
-    film.write(options.out, clip)
+    film.write(options.out, film.rollout(learner, policy, **shown))
     print(options.out)
 
 
+@_takes(
+    _RUN_ID, _option("--out", type=Path, required=True, help="the file to write (.safetensors)")
+)
 def _export(options: argparse.Namespace) -> None:
     """Write a finished run's policy as numbers alone, for `silem.load_policy`."""
-    policy = _finished(options.run_id).file(POLICY)
+    policy = runs.get(options.run_id).file(POLICY)
     if options.out.suffix != policy.suffix:
         raise SilemError(f"a policy is exported as {policy.suffix}, not {_short(str(options.out))}")
     files.write_bytes(options.out, policy.read_bytes())
     print(options.out)
 
 
+@_takes(
+    _option("name", metavar="RUN_ID|STUDY", nargs="?", help="default: all published"),
+    _option("--episodes", type=_whole(0), default=verify.N_EPISODES,
+            help=f"of each policy; {_USUAL}"),
+)  # fmt: skip
 def _verify(options: argparse.Namespace) -> None:
     """Check records, and evaluate policies anew."""
     verdicts = []
@@ -469,12 +463,20 @@ def _verify(options: argparse.Namespace) -> None:
         raise SilemError(f"{refuted} of {len(verdicts)} are not what they say")
 
 
+@_takes()
 def _bodies(options: argparse.Namespace) -> None:
     """List the bodies."""
     for name in bodies.names():
         print(f"{name:9} {bodies.get(name).description}")
 
 
+@_takes(
+    _option("--asf", type=Path, help="the skeleton of a clip of your own"),
+    _option("--amc", type=Path, help="the clip"),
+    _option("--rate-hz", type=float, help="its frames per second, at CMU mostly 120"),
+    _option("--name", help="what --demonstrations will find it by"),
+    _option("--floor-slope", type=float, default=0.0, help="rise in m per m forward"),
+)
 def _mocap(options: argparse.Namespace) -> None:
     """Make the human's demonstrations, and retarget them, from CMU's or your clips."""
     from silem.motion import demonstrator, retargeting

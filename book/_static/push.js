@@ -12,25 +12,15 @@ silem.ready(() => {
 
   // ------------------------------------------------------------ before anything is loaded
 
-  const film = place.dataset.film;
-  const still = make("img", {
-    src: place.dataset.still,
-    alt: "A humanoid of capsules walks forwards on a chequered floor: the policy that this page can load, filmed.",
+  const film = make("video", {
+    src: place.dataset.film, poster: place.dataset.still, controls: true, loop: true, muted: true, playsinline: true, preload: "none",
+    "aria-label": "A humanoid of capsules walks forwards on a chequered floor: the policy that this page can load, filmed.",
   });
-  const play = make("button", {
-    type: "button", class: "silem-quiet",
-    onclick: () => {
-      const rolling = still.src.endsWith("webp");
-      still.src = rolling ? place.dataset.still : film;
-      play.textContent = rolling ? "Play the film" : "Stop the film";
-    },
-  }, "Play the film");
-  const poster = make("div", { class: "silem-poster" }, still);
+  const poster = make("div", { class: "silem-poster" }, film);
   stage.append(poster);
 
   const why = (text) => {
     place.dataset.state = "film";
-    poster.append(make("div", { class: "silem-offer" }, play));
     status.textContent = `${text} The film shows the same policy.`;
   };
   silem.script("packs.js").then(() => {
@@ -41,7 +31,7 @@ silem.ready(() => {
     const bytes = sizes["mujoco.wasm"] + sizes["mujoco.js"] + sizes["body-Humanoid"];
     const load = make("button", { type: "button", class: "silem-load", onclick: () => start(load) },
       `Load the body (${(bytes / 1e6).toFixed(1)} MB)`);
-    poster.append(make("div", { class: "silem-offer" }, load, play));
+    poster.append(make("div", { class: "silem-offer" }, load));
     status.textContent = "Nothing is loaded until you ask for it.";
     place.dataset.state = "offered";
   }, (error) => why(`${error.message}.`));

@@ -1,5 +1,5 @@
-// The page "Watching a run learn": curves of a run up to the iteration that a slider chooses, and the
-// transform that it ended with, as bars against A = 1 and b = 0.
+// The page "Watching a run learn": curves of a run up to the iteration that a slider chooses, its
+// transform, as bars against A = 1 and b = 0, and of a run that was filmed its policy at checkpoints.
 silem.ready(async () => {
   const place = document.getElementById("silem-learning");
   if (!place) return;
@@ -48,11 +48,17 @@ silem.ready(async () => {
   const field = (name, control) => make("label", { class: "silem-field" }, make("span", {}, name), control);
   const panels = make("div", { class: "silem-panels" });
   const transform = make("div", { class: "silem-transform" });
+  const film = make("video", { controls: true, loop: true, muted: true, playsinline: true, preload: "none", width: 400, height: 300 });
+  const filmed = make("output");
+  const about = make("p", { class: "silem-keys" });
+  const screen = make("figure", { class: "silem-panel-one silem-film" },
+    make("figcaption", {}, make("span", {}, "The policy on film"), filmed), film, about);
   place.replaceChildren(
     make("div", { class: "silem-fields" }, field("Study", study), field("Body", body), field("Run", run), field("Compare with", other)),
     make("div", { class: "silem-play" }, play, iteration, count), panels, transform, status);
 
-  let shown, second, drawn = [];
+  let shown, second, learned, checkpoint, drawn = [];
+  const reached = (iterations, at) => iterations.findLast((one) => one <= at);
   const keyOf = (id) => data.runs.find((one) => one.id === id);
   const fillBodies = () => {
     const known = unique(data.runs.filter((one) => one.study === study.value).map((one) => one.body));
@@ -64,7 +70,8 @@ silem.ready(async () => {
     const entries = () => known.map((one) => make("option", { value: one.id }, one.label));
     run.replaceChildren(...entries());
     other.replaceChildren(make("option", { value: "" }, "nothing"), ...entries());
-    const first = known.find((one) => one.method === "silem") ?? known[0];
+    const ours = known.filter((one) => one.method === "silem");
+    const first = ours.find((one) => one.films) ?? ours[0] ?? known[0];
     run.value = first.id;
     pick();
   };
@@ -131,8 +138,9 @@ silem.ready(async () => {
 
   // ------------------------------------------------------------ the transform
 
-  function bars(values, rest, names, title) {
-    const far = Math.max(...values.map((value) => Math.abs(value - rest)), 0.05) * 1.12;
+  function bars(all, now, rest, names, title) {
+    const far = Math.max(...all.flat().map((value) => Math.abs(value - rest)), 0.05) * 1.12;
+    const values = all[now];
     const [row, left, wide] = [17, 150, 340];
     const x = (value) => left + ((value - rest + far) / (2 * far)) * (wide - left - 8);
     const height = values.length * row + 22;
@@ -156,22 +164,48 @@ silem.ready(async () => {
     place.style.setProperty("--silem-run", shown.colour);
     place.style.setProperty("--silem-other", second?.colour ?? "none");
     drawn = PANELS.map(panel).filter(Boolean);
-    panels.replaceChildren(...drawn.map((one) => one.element));
+    panels.replaceChildren(...(shown.films ? [screen] : []), ...drawn.map((one) => one.element));
     iteration.max = shown.curve.iteration.length - 1;
     iteration.value = iteration.max;
+    learned = shown.learned ?? (shown.A && { iteration: [shown.curve.iteration.at(-1)], A: [shown.A], b: [shown.b] });
+    checkpoint = film.dataset.iteration = null;
     transform.replaceChildren();
-    if (shown.A) {
-      const names = data.features[shown.body];
-      transform.append(make("h3", {}, "The transform that it ended with"),
-        make("p", {}, `T(g) = A g + b after ${written(shown.curve.iteration.at(-1), 0)} iterations: bars leave the identity, A = 1 and b = 0. The record keeps no earlier T, so these bars do not move with the slider; its loss does.`),
-        make("div", { class: "silem-panels" }, bars(shown.A, 1, names, "A, scale of each feature"), bars(shown.b, 0, names, "b, shift of each feature")));
-    }
     move();
+  }
+  /** Show T at the last checkpoint before an iteration; of most runs the record keeps only the last. */
+  function moveTransform(at) {
+    const now = learned.iteration.length > 1 ? reached(learned.iteration, at) : learned.iteration[0];
+    if (now === checkpoint) return;
+    checkpoint = now;
+    const row = learned.iteration.indexOf(now);
+    const names = data.features[shown.body];
+    const why = learned.iteration.length > 1 ? "They move from checkpoint to checkpoint."
+      : "The record keeps no earlier T, so these bars do not move with the slider; its loss does.";
+    transform.replaceChildren(make("h3", {}, learned.iteration.length > 1 ? "The transform" : "The transform that it ended with"),
+      make("p", {}, `T(g) = A g + b after ${written(now, 0)} iterations: bars leave the identity, A = 1 and b = 0. ${why}`),
+      make("div", { class: "silem-panels" }, bars(learned.A, row, 1, names, "A, scale of each feature"), bars(learned.b, row, 0, names, "b, shift of each feature")));
+  }
+  /** Show the film of the last checkpoint before an iteration; whatever plays goes on playing. */
+  function moveFilm(at) {
+    const now = reached(shown.films, at);
+    if (String(now) === film.dataset.iteration) return;
+    const playing = !film.paused;
+    const row = shown.curve.iteration.findIndex((one) => one >= now);
+    film.dataset.iteration = now;
+    const path = new URL(`../films/${shown.id}/${now}`, silem.root);
+    film.poster = `${path}.jpg`;
+    film.src = `${path}.mp4`;
+    film.setAttribute("aria-label", `${shown.body} under the policy of ${shown.id} after ${written(now, 0)} iterations, five seconds in real time.`);
+    filmed.textContent = now ? `iteration ${written(now, 0)}` : "before training";
+    about.textContent = `${shown.id}, ${now ? `iteration ${written(now, 0)}: return ${written(shown.curve.return_mean[row], 0)} while it trained` : "before its first iteration"}. Films at ${shown.films.map((one) => written(one, 0)).join(", ")}.`;
+    if (playing) film.play().catch(() => {});
   }
   function move() {
     const row = Number(iteration.value);
     for (const one of drawn) one.move(row);
     const at = shown.curve.iteration[row];
+    if (learned) moveTransform(at);
+    if (shown.films) moveFilm(at);
     count.textContent = `iteration ${written(at, 0)} of ${written(shown.curve.iteration.at(-1), 0)}`;
     iteration.setAttribute("aria-valuetext", `${count.textContent}, return ${written(shown.curve.return_mean[row], 0)}`);
     status.textContent = `${shown.id}; each point averages the iterations since the one before.`;
@@ -194,8 +228,12 @@ silem.ready(async () => {
   body.addEventListener("change", fillRuns);
   for (const control of [run, other]) control.addEventListener("change", pick);
   const asked = new URLSearchParams(location.search).get("run");
-  study.value = keyOf(asked)?.study ?? (data.runs.some((one) => one.study === "humanoids") ? "humanoids" : study.value);
+  const begin = keyOf(asked) ?? data.runs.find((one) => one.films) ?? data.runs.find((one) => one.study === "humanoids") ?? data.runs[0];
+  study.value = begin.study;
   fillBodies();
-  if (keyOf(asked)) { body.value = keyOf(asked).body; fillRuns(); run.value = asked; pick(); }
+  body.value = begin.body;
+  fillRuns();
+  run.value = begin.id;
+  pick();
   place.dataset.state = "ready";
 });

@@ -5,8 +5,6 @@ arithmetic. Here forward pass, gradient and Adam are written out on one flat vec
 `PPO._refresh_twin` says how it and torch share their memory.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What learns beside policy and value function: discriminators, transforms, observation moments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -116,11 +114,8 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first of the hidden layers is the encoder's, which has `encoder_layers` of its size, the
-    others are each head's.
-
-    Raises:
-        SilemError: If there is no hidden layer.
+    The first hidden layer is the encoder's, which has `encoder_layers` of its size, the others are
+    each head's. Raises SilemError if there is no hidden layer.
     """
 
     def __init__(
@@ -162,6 +157,52 @@ class AffineTransform(nn.Module):
         """Transform features (..., F) state by state."""
         return features * self.scale + self.offset
 
+    def weigh(self, features: th.Tensor) -> None:
+        """Note by which states (..., F) the mean of several maps is to be taken; here of none."""
+
+    def mean(self) -> dict[str, np.ndarray]:
+        """Return A's diagonal and b, (F,) each; of several maps the mean that the gate gives."""
+        found = {"A": self.scale, "b": self.offset}
+        return {name: values.detach().cpu().numpy() for name, values in found.items()}
+
+
+class AffineEnsemble(AffineTransform):
+    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w = softmax of a linear gate on g.
+
+    All maps start as the identity, and so does f, whatever the gate says. What lets them part is
+    the gate's random first weights: each map counts in other states, and follows another gradient.
+    The gate learns from then on, for between equal maps its choice changes nothing.
+    """
+
+    shares: th.Tensor
+
+    def __init__(self, n_features: int, n_components: int) -> None:
+        super().__init__(n_features)
+        for name in ("scale", "offset"):
+            start = getattr(self, name).detach()
+            setattr(self, name, nn.Parameter(start.repeat(n_components, 1)))
+        self.gate = nn.Linear(n_features, n_components)
+        self.shares = nn.Buffer(th.full((n_components,), 1.0 / n_components))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Transform features (..., F) state by state."""
+        weights = self.weights(features)
+        return features * (weights @ self.scale) + weights @ self.offset
+
+    def weights(self, features: th.Tensor) -> th.Tensor:
+        """Return w (..., K) in states (..., F)."""
+        return th.softmax(self.gate(features), dim=-1)
+
+    def weigh(self, features: th.Tensor) -> None:
+        """Note the gate's mean weights over states (..., F)."""
+        with th.no_grad():
+            self.shares.copy_(self.weights(features).flatten(0, -2).mean(0))
+
+    def mean(self) -> dict[str, np.ndarray]:
+        """Return A and b, (F,) each, as the gate weighed them in the states of `weigh`."""
+        maps = {"A": self.scale, "b": self.offset}
+        return {name: (self.shares @ maps[name]).detach().cpu().numpy() for name in maps}
+
 
 class MLPTransform(nn.Sequential):
     """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
@@ -182,8 +223,8 @@ def l2_penalty(
     The supplement names the coefficients and not the form. "deviation" measures A from one: the
     identity, which says that the two bodies are alike, is what a transform should fall back to
     where D asks for nothing. The "plain" norm pulls A to 0, hence every feature to a constant that
-    tells nothing. Both are means over the features, so that a coefficient weighs the same beside
-    the loss of line 10 whatever F is.
+    tells nothing. Both are means over the features, of an ensemble over all its maps' too, so that
+    a coefficient weighs the same beside the loss of line 10 whatever F and K are.
     """
     rest = 1.0 if form == "deviation" else 0.0
     scale_term = (transform.scale - rest).square().mean()
@@ -194,11 +235,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
     """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
 
     Being part of the policy, the moments are saved, loaded and used by ``predict`` with it. They
-    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy
-    that collects a rollout is the policy that is updated on it.
-
-    Raises:
-        SilemError: If the observation space is not a flat Box.
+    change only in :meth:`update`, which the algorithm calls once per iteration, so the policy that
+    collects a rollout is the policy that is updated on it. Raises SilemError if the observation
+    space is not a flat Box.
     """
 
     def __init__(self, observation_space: spaces.Box) -> None:

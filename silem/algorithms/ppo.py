@@ -1,7 +1,5 @@
 """PPO: stable-baselines3's class and interface, without autograd where the policy allows it."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,8 +38,7 @@ class PPO(SB3PPO):
         normalize_observations: Put :class:`RunningNormalizer` in front of an ``MlpPolicy``.
         **kwargs: As ``*args``, by name.
 
-    Raises:
-        SilemError: A number is not of its kind.
+    Raises SilemError: a number is not of its kind.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = {
@@ -92,9 +89,8 @@ class PPO(SB3PPO):
             **kwargs: What the constructor takes, in place of what was saved; also
                 ``print_system_info`` and ``force_reset``, as in stable-baselines3.
 
-        Raises:
-            SilemError: An argument is unknown or of no use, the networks that the arguments
-                describe are not those of the file, or the file cannot be read.
+        Raises SilemError: an argument is unknown or of no use, the networks that the arguments
+        describe are not those of the file, or the file cannot be read.
         """
         allowed = {"print_system_info": None, "force_reset": None}
         for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
@@ -117,9 +113,8 @@ class PPO(SB3PPO):
     def export_policy(self, path: Path | str, **about: str) -> None:
         """Write the policy, for `silem.load_policy`: a safetensors file, with metadata ``about``.
 
-        Raises:
-            SilemError: The policy is no multi-layer perceptron on a flat Box of observations, or
-                the file cannot be written.
+        Raises SilemError: the policy is no multi-layer perceptron on a flat Box of observations, or
+        the file cannot be written.
         """
         state.export_policy(self.policy, Path(path), about)
 
@@ -169,12 +164,10 @@ class PPO(SB3PPO):
     ) -> bool:
         """Fill the rollout buffer as stable-baselines3 does; False if the callback ends training.
 
-        Values at time limits are kept apart from the rewards, so that an imitation learner can
-        put other rewards in their place before it learns. A rollout before which somebody else
-        has reset the environments begins with new episodes.
-
-        Raises:
-            SilemError: The callback has reset the environments in the middle of the rollout.
+        Values at time limits are kept apart from the rewards, so that an imitation learner can put
+        other rewards in their place before it learns. A rollout before which somebody else has
+        reset the environments begins with new episodes. Raises SilemError: the callback has reset
+        the environments in the middle of the rollout.
         """
         if self._was_reset():
             self._last_obs = env.reset()  # type: ignore[assignment]
@@ -265,12 +258,10 @@ class PPO(SB3PPO):
         return [name for names in self._learns.values() for name in names], []
 
     def _check_numbers(self, values: dict[str, Any]) -> None:
-        numbers = {
-            name: value
-            for name, value in values.items()
-            if not callable(value) and not (value is None and name in self._optional)
-        }  # rates and ranges may be schedules
-        errors.check_numbers(numbers, self._numbers)
+        for name, kind in self._numbers.items():
+            value = values.get(name, 1)
+            if not (callable(value) or (value is None and name in self._optional)):
+                kind.check(name, value)  # rates and ranges may be schedules
 
     def _check_settings(self) -> None:
         """Check the arguments, whether the constructor or `load` put them in their places."""

@@ -1,7 +1,5 @@
 """SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -10,7 +8,13 @@ import torch as th
 from torch.nn import functional as F
 
 from silem.algorithms.gaifo import GAIfO, descend
-from silem.algorithms.networks import L2_FORMS, TRANSFORMS, AffineTransform, l2_penalty
+from silem.algorithms.networks import (
+    L2_FORMS,
+    TRANSFORMS,
+    AffineEnsemble,
+    AffineTransform,
+    l2_penalty,
+)
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
 
@@ -27,6 +31,8 @@ class SILEM(GAIfO):
         demonstrations: The expert's.
         transform: f of the sequential transform: "affine" is SILEM, "mlp" the ablation of
             Table 1. Without a transform SILEM is :class:`GAIfO`, the paper's SILEM-minus.
+        transform_components: K, affine maps between which a gate weighs, state by state; 1, the
+            paper's, has no gate.
         n_transform_updates: N_G, transform steps per iteration, one pass over the rollout.
         transform_learning_rate: Adam's rate for T at the first iteration.
         transform_lr_decay: d, factor on the transform's learning rate per iteration.
@@ -35,13 +41,14 @@ class SILEM(GAIfO):
         transform_l2_form: "deviation" penalises A - 1, "plain" A itself (see `l2_penalty`).
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an L2 term on another transform than the affine one.
+    Raises SilemError as :class:`GAIfO`; an L2 term on, or several components of, another transform
+    than the affine one.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {
-        "n_transform_updates": COUNT, "transform_learning_rate": RATE,
-        "transform_lr_decay": FACTOR, "transform_l2_scale": WEIGHT, "transform_l2_bias": WEIGHT,
+        "transform_components": COUNT, "n_transform_updates": COUNT,
+        "transform_learning_rate": RATE, "transform_lr_decay": FACTOR,
+        "transform_l2_scale": WEIGHT, "transform_l2_bias": WEIGHT,
     }  # fmt: skip
     _learns: ClassVar[dict[str, tuple[str, str]]] = GAIfO._learns | {
         "transform": ("transform_net", "transform_optimizer")
@@ -54,6 +61,7 @@ class SILEM(GAIfO):
         demonstrations: Demonstrations | Sequence[np.ndarray] | None = None,
         *,
         transform: str = "affine",
+        transform_components: int = 1,
         n_transform_updates: int = 5,
         transform_learning_rate: float = 1e-4,
         transform_lr_decay: float = 1.0,
@@ -63,6 +71,7 @@ class SILEM(GAIfO):
         **kwargs: Any,
     ) -> None:
         self.transform = transform
+        self.transform_components = transform_components
         self.n_transform_updates = n_transform_updates
         self.transform_learning_rate = transform_learning_rate
         self.transform_lr_decay = transform_lr_decay
@@ -89,6 +98,8 @@ class SILEM(GAIfO):
                 assert isinstance(self.transform_net, AffineTransform)
                 loss = loss + l2_penalty(self.transform_net, *weights, self.transform_l2_form)
             descend(self.transform_optimizer, loss)
+        if isinstance(self.transform_net, AffineTransform):
+            self.transform_net.weigh(tau_c[..., : self.demonstrations.n_features])
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 
     def _transformed(self, windows: th.Tensor) -> th.Tensor:
@@ -104,16 +115,20 @@ class SILEM(GAIfO):
         choose("transform_l2_form", self.transform_l2_form, L2_FORMS)
         if (self.transform_l2_scale or self.transform_l2_bias) and self.transform != "affine":
             raise SilemError(f"the L2 term is the affine transform's; {self.transform!r} has none")
+        if self.transform_components > 1 and self.transform != "affine":
+            raise SilemError(f"only affine maps have components, not {self.transform!r}")
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        transform = TRANSFORMS[self.transform](self.demonstrations.n_features).to(self.device)
-        self.transform_net, rate = transform, self.transform_learning_rate
+        size, count = self.demonstrations.n_features, self.transform_components
+        transform = TRANSFORMS[self.transform](size) if count == 1 else AffineEnsemble(size, count)
+        self.transform_net, rate = transform.to(self.device), self.transform_learning_rate
         self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 
     def _report(self, stats: dict[str, float], judged: np.ndarray) -> None:
         super()._report(stats, judged)
         if isinstance(self.transform_net, AffineTransform):
-            for name, values in self.transform_net.named_parameters():
+            mean = self.transform_net.mean()
+            for name, values in (("scale", mean["A"]), ("offset", mean["b"])):
                 for i, entry in enumerate(values.tolist()):
                     self.logger.record(f"transform/{name}_{i}", entry, exclude="stdout")

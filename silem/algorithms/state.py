@@ -1,7 +1,5 @@
 """What learns, as named NumPy arrays and back; policies as files that hold numbers alone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,9 +46,8 @@ def collect(learners: Learners) -> dict[str, np.ndarray]:
 def restore(learners: Learners, arrays: Mapping[str, np.ndarray]) -> None:
     """Copy :func:`collect`'s arrays back, in place.
 
-    Raises:
-        SilemError: A name is missing or unknown, or a shape or a value is wrong; no weight is
-            changed then.
+    Raises SilemError: a name is missing or unknown, or a shape or a value is wrong; no weight is
+    changed then.
     """
     tensors = _tensors(learners)
     for problem, names in (
@@ -106,10 +103,8 @@ def load_policy(path: Path | str) -> ActorCriticPolicy:
 
     Such a file holds numbers alone, no code: a stranger's is safe to load. The policy is
     stable-baselines3's: it has ``predict``, needs no environment, and goes on learning as the
-    ``policy`` of a ``PPO``, stable-baselines3's own or this package's.
-
-    Raises:
-        SilemError: The file is missing, damaged or no policy.
+    ``policy`` of a ``PPO``, stable-baselines3's own or this package's. Raises SilemError: the file
+    is missing, damaged or no policy.
     """
     arrays, about = files.read_tensors(Path(path))
     try:

@@ -1,7 +1,5 @@
 """TPIL, third-person imitation learning (Stadie et al., 2017), as the paper compares with it."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th
@@ -25,8 +23,7 @@ class TPIL(GAIfO):
         encoder_layers: Depth of the encoder, of which the paper says nothing.
         **kwargs: Everything :class:`GAIfO` and :class:`PPO` take.
 
-    Raises:
-        SilemError: As :class:`GAIfO`; an empty ``disc_hidden``.
+    Raises SilemError as :class:`GAIfO`; an empty ``disc_hidden``.
     """
 
     discriminator: ThirdPersonDiscriminator

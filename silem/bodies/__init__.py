@@ -3,8 +3,6 @@
 Bodies of one's own are registered by modules that are named, or by installed packages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import importlib
@@ -14,6 +12,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
 import gymnasium
@@ -36,9 +35,8 @@ from silem.util.errors import SilemError, check_name, choose
 
 __all__ = [
     "AliveRule", "Body", "BulletBody", "Entry", "GymnasiumBody", "Motor", "MujocoBody", "Part",
-    "Skeleton", "View", "describe", "get", "identity", "load", "load_installed", "module_of",
-    "names", "of_kind",
-    "register",
+    "Skeleton", "View", "describe", "exists", "get", "identity", "load", "load_installed",
+    "module_of", "names", "of_kind", "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", bound=Body)
@@ -55,6 +53,8 @@ class Entry(NamedTuple):
 
 
 _BODIES: dict[str, Body | Entry] = {}
+_FAMILIES = (half_cheetah, ant, humanoid)
+_NUMBER, _SLOPE, STEEPEST_DEG = r"(\d+(?:\.\d+)?)", "-slope-", 45.0
 _OWN: dict[str, str] = {}  # of those registered, the module that `load` was loading, or ""
 _loading = ""
 
@@ -74,7 +74,7 @@ def _add(body: Body | Entry) -> None:
     )
 
 
-for _family in (half_cheetah, ant, humanoid):
+for _family in _FAMILIES:
     for _name, _make in _family.BODIES.items():
         _add(Entry(_name, _family.FAMILY, _family.ENGINE, _make))
 
@@ -83,9 +83,7 @@ def register(body: Body, replace: bool = False) -> Body:
     """Add a body to the registry, give it its Gymnasium id, and return it.
 
     Registering the same body again changes nothing. With `replace` it may take another's place.
-
-    Raises:
-        SilemError: If the name is another body's, or cannot be that of a file.
+    Raises SilemError if the name is another body's, or cannot be that of a file.
     """
     check_name("body", body.name)
     if body.name in _BODIES and not replace:
@@ -97,6 +95,7 @@ def register(body: Body, replace: bool = False) -> Body:
             )
         return known
     _add(body)
+    _described.cache_clear()  # what stood on a slope may be another body now
     _OWN[body.name] = _loading
     return body
 
@@ -104,10 +103,10 @@ def register(body: Body, replace: bool = False) -> Body:
 def get(name: str) -> Body:
     """Return the body of that name.
 
-    The id of a Gymnasium environment, such as "Pendulum-v1", is the name of what that moves.
-
-    Raises:
-        SilemError: If there is no such body; the message lists those there are.
+    The id of a Gymnasium environment, such as "Pendulum-v1", is the name of what that moves. Some
+    names describe a body: "HC-1.25" has a torso of 1.25 m, "HC0-slope-5" runs up a floor that rises
+    by 5 degrees. Each family's module says in `NAMED` which; `names` lists none of them. Raises
+    SilemError if there is no such body; the message lists those there are.
     """
     if isinstance(name, str) and name not in _BODIES and re.search(r"-v\d+$", name):
         try:
@@ -117,10 +116,37 @@ def get(name: str) -> Body:
         if spec.max_episode_steps is None:
             raise SilemError(f"{name} has no limit of steps; evaluation needs episodes that end")
         return GymnasiumBody(name=name, max_steps=spec.max_episode_steps)
-    found = _BODIES[choose("body", name, _BODIES)]
+    if isinstance(name, str) and name not in _BODIES and (described := _described(name)):
+        return described
+    patterns = [pattern for family in _FAMILIES for pattern in family.NAMED]
+    found = _BODIES[choose("body", name, [*_BODIES, *patterns, f"BODY{_SLOPE}#"])]
     if isinstance(found, Entry):
         found = _BODIES[name] = found.make()
     return found
+
+
+@cache
+def _described(name: str) -> Body | None:
+    """Return the body that a name describes, of a known kind and its numbers, or None."""
+    found = None
+    for family in _FAMILIES:
+        for pattern, make in family.NAMED.items():
+            match = re.fullmatch(pattern.replace("#", _NUMBER), name)
+            if match and all(f"{float(text):g}" == text != "0" for text in match.groups()):
+                found = make(name, *map(float, match.groups()))
+    base, _, text = name.rpartition(_SLOPE)
+    if base and re.fullmatch(_NUMBER, text) and f"{float(text):g}" == text:
+        flat = get(base)
+        if flat.engine == "gymnasium" or flat.slope_deg or not 0 < float(text) <= STEEPEST_DEG:
+            raise SilemError(f"no {name!r}: a slope has up to {STEEPEST_DEG:g} degrees, above 0")
+        about = f"{flat.description}, on a floor that rises by {text} degrees"
+        found = dataclasses.replace(flat, name=name, description=about, slope_deg=float(text))
+    return found
+
+
+def exists(name: str) -> bool:
+    """Tell whether a body is registered, or described by its name; Gymnasium's are neither."""
+    return name in _BODIES or _described(name) is not None
 
 
 def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
@@ -152,8 +178,7 @@ def describe(body: Body | str) -> dict[str, Any]:
         hinge, None where the model sets none; `root_joints`: those along which a planar root moves;
         `actuators`: torque in N m at action 1, by joint.
 
-    Raises:
-        SilemError: If there is no such body.
+    Raises SilemError if there is no such body.
     """
     from silem.bodies import measure  # which needs the simulators
 
@@ -163,8 +188,7 @@ def describe(body: Body | str) -> dict[str, Any]:
 def load(module: str) -> None:
     """Import a module that registers bodies of one's own, looked for in the working folder too.
 
-    Raises:
-        SilemError: It cannot be imported, whatever the reason.
+    Raises SilemError: it cannot be imported, whatever the reason.
     """
     global _loading
     if (here := os.getcwd()) not in sys.path:
@@ -206,6 +230,8 @@ def identity(name: str) -> dict[str, str] | None:
         field.name: getattr(body, field.name) for field in dataclasses.fields(body) if field.repr
     }
     del told["description"]
+    if not body.slope_deg:
+        del told["slope_deg"]  # so that bodies on flat floors are what they were
     digest = hashlib.sha256(f"{told}\n{body.model_xml()}".encode()).hexdigest()
     return {"module": _OWN[name], "sha256": digest}
 

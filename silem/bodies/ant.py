@@ -1,7 +1,5 @@
 """Ant0 to Ant6: Ant with longer links next to its body (Figure 2c)."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
@@ -62,5 +60,8 @@ def body(name: str, offset: float) -> BulletBody:
         view=View((0.45, 1.0, -0.55), look_at_m=0.25, span_m=2.7 + 2 * offset),
     )
 
+
+NAMED = {"Ant-#": body}
+"""Bodies that are named by a number in the place of #: this one by its links' offset in m."""
 
 BODIES = {name: partial(body, name, offset) for name, offset in LINK_OFFSETS.items()}

@@ -1,37 +1,24 @@
 """Atlas, Boston Dynamics' robot (v4), with an adjustable ankle.
 
-Left is +y and forward +x in every upright link, as in the features. The landmarks are the origins
-of links, which are joints: `utorso` is the torso (its frame is upright and faces forward when the
-robot does), the head is the neck's joint, a shoulder the joint that raises the arm sideways, a
-hand the wrist, a foot the ankle.
+Left is +y and forward +x in every upright link. The landmarks are the origins of links, which are
+joints: `utorso` is the torso, the head is the neck's joint, a shoulder the joint that raises the
+arm sideways, a hand the wrist, a foot the ankle. "Ankle's range of motion" is read as pitch and
+roll of both: the paper gives one number, and a stiff ankle lets weak motors keep the foot flat.
 
-The paper gives 0.99 and 0.91 as the distances of Atlas's feet and hands from its torso; here they
-are 1.08 and 0.98 in the zero pose, arms spread, and 1.08 and 0.62 when it stands. No link of v4's
-trunk gives the paper's pair: from `pelvis` 0.87 and 1.04, from `mtorso` 1.03 and 0.99. The paper
-does not say which model of Atlas it used, nor in which pose it measured.
+The constants in `silem/bodies/atlas_v4.json` (masses, inertias, axes, limits, efforts, shapes) are
+the published ones. What a simulation needs beside them, and what the paper leaves open, is on the
+page "Deviations":
 
-"Ankle's range of motion" is read as both axes of both ankles, pitch and roll: the paper gives one
-number, and a stiff ankle lets the weak motors (92 and 45 N m against a weight of 1790 N) keep the
-foot flat.
-
-The model is built from the constants in `silem/bodies/atlas_v4.json`: masses, inertias, joint axes,
-limits, efforts and shapes are the published ones. What a simulation needs beside them:
-
-- **Motors.** Torque at action 1 is the joint's published effort. Per weight and leg length that
-  is what dm_control's humanoid has in its ankles and shoulders, and 1.6 to 3 times as much in its
-  hips and knees.
-- **Damping.** Effort over velocity limit, both published: a motor at full torque reaches its
-  velocity limit and no more, the straight torque-speed line of a motor. With the published damping
-  (0.1 N m s/rad) random torques make the model explode at this timestep.
+- **Motors.** Torque at action 1 is the joint's published effort. Per weight and leg length that is
+  what dm_control's humanoid has in ankles and shoulders, and 1.6 to 3 times that in hips and knees.
+- **Damping.** Effort over velocity limit: the straight torque-speed line of a motor. With the
+  published 0.1 N m s/rad random torques make the model explode at this timestep.
 - **Armature.** 0.05 kg m2 for all joints: the ankle's talus alone has 1e-5 kg m2.
 - **Limits** are as stiff as the timestep allows, so that the ankle's range means something.
 - **Contacts.** Each link meets the floor with its largest shape, a foot with the four corners of
-  its sole (without the narrow tip of the toe, 4 cm). Of self-collision only what walking can run
-  into is on: feet and shins of one leg with those of the other. Other shapes are only drawn.
+  its sole; of self-collision only feet and shins of one leg with those of the other are on.
 - **Welds.** `*_arm_wry2`, published with +-0.001 rad, has neither joint nor motor: 28 of 30 remain.
 """
-
-from __future__ import annotations
 
 import functools
 import itertools
@@ -90,10 +77,8 @@ _COLOURS = {
 def body(ankle_range_rad: float = 0.1) -> MujocoBody:
     """Return Atlas with ankles that turn within +-`ankle_range_rad` about both axes.
 
-    The paper searched over 0.1 and 0.3 (supplement, tab42_h, a); 0.1 was best for SILEM.
-
-    Raises:
-        SilemError: If the range is not above 0 or exceeds the robot's own.
+    The paper searched over 0.1 and 0.3 (supplement, tab42_h, a); 0.1 was best for SILEM. Raises
+    SilemError if the range is not above 0 or exceeds the robot's own.
     """
     joints = constants()["joints"]
     limits = [joints[f"l_leg_{axis}"]["limit"] for axis in _ANKLES]
@@ -241,13 +226,13 @@ def _add_shapes(body: mujoco.MjsBody, name: str, shapes: list[Link]) -> None:
 
 def _primitive(shape: Link) -> tuple[mujoco.mjtGeom, list[float], float]:
     """Return MuJoCo's type and sizes of a published shape, and its volume in m3."""
-    kind = mujoco.mjtGeom
-    if shape["shape"] == "box":
+    kind, name = mujoco.mjtGeom, shape["shape"]
+    if name == "box":
         return kind.mjGEOM_BOX, [side / 2 for side in shape["size"]], math.prod(shape["size"])
-    radius_m, disc_m2 = shape["radius"], math.pi * shape["radius"] ** 2
-    if shape["shape"] == "cylinder":
-        size = [radius_m, shape["length"] / 2, 0]
-        return kind.mjGEOM_CYLINDER, size, disc_m2 * shape["length"]
+    radius_m, length_m = shape["radius"], shape.get("length", 0.0)
+    disc_m2 = math.pi * radius_m**2
+    if name == "cylinder":
+        return kind.mjGEOM_CYLINDER, [radius_m, length_m / 2, 0], disc_m2 * length_m
     return kind.mjGEOM_SPHERE, [radius_m, 0, 0], disc_m2 * 4 / 3 * radius_m
 
 

@@ -1,7 +1,6 @@
 """What a body is: data only. How to build it, what moves, what is measured."""
 
-from __future__ import annotations
-
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -75,19 +74,20 @@ class Body:
     view: View  #: how it is looked at
     control_step_s: float
     max_steps: int = MAX_STEPS  #: control steps after which an episode is cut off
+    #: of the floor, which rises along x; the floor stays the world's plane, and gravity is tilted
+    slope_deg: float = 0.0
     #: what can be chosen of it, and its choice, by name
     parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
     #: returns the body for other values of its parameters
-    variants: Callable[..., Body] | None = field(default=None, repr=False, compare=False)
+    variants: "Callable[..., Body] | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}: {self.description}>"
 
-    def variant(self, **parameters: float) -> Body:
+    def variant(self, **parameters: float) -> "Body":
         """Return this body with other values of some of its parameters.
 
-        Raises:
-            SilemError: If it has no such parameter, or a value is not allowed.
+        Raises SilemError if it has no such parameter, or a value is not allowed.
         """
         for name in parameters:
             choose(f"parameter of body {self.name!r}", name, self.parameters)
@@ -98,6 +98,17 @@ class Body:
     def model_xml(self) -> str:
         """Return the model file's text (MJCF)."""
         return self.build()
+
+    @property
+    def up(self) -> tuple[float, float, float]:
+        """The direction against gravity, (x, y, z) in the floor's frame."""
+        slope = math.radians(self.slope_deg)
+        return math.sin(slope), 0.0, math.cos(slope)
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode can end before its last step."""
+        return True
 
     @property
     def action_size(self) -> int:
@@ -121,6 +132,11 @@ class BulletBody(Body):
     parts: tuple[Part, ...]  #: the points in the mean, the root first
     n_parts: int  #: number of parts in the mean
     alive: AliveRule
+
+    @property
+    def can_fall(self) -> bool:
+        """Whether an episode ends when the body is no longer upright."""
+        return self.alive.terminates
 
     @property
     def observation_size(self) -> int:
@@ -153,7 +169,7 @@ class Skeleton:
     axes: str = "xyz"  #: of the torso frame, those that point forward, left and up
 
     @classmethod
-    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> Skeleton:
+    def of_sides(cls, torso: str, head: str, left: str, right: str, **limbs: str) -> "Skeleton":
         """Return one whose sides differ in a prefix, from the rest of the names: `hip="thigh"`."""
         sided = {
             f"{side}_{point}": prefix + name
@@ -180,6 +196,10 @@ class MujocoBody(Body):
     standing_head_m: float  #: height of the head from which the reward counts it as standing
     fall_head_m: float  #: height of the head below which an episode ends
     target_speed_m_s: float  #: of the centre of mass, what earns the full reward
+    #: returns the bodies of E environments, where each has one of its own in this one's place
+    each: Callable[[int], Sequence["MujocoBody"]] | None = field(
+        default=None, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -213,31 +233,23 @@ class GymnasiumBody(Body):
 def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[float]]) -> str:
     """Return PyBullet's own `pybullet_data/mjcf/<file>` with some attributes replaced.
 
-    The rest of the text stays as it is, byte for byte, so that two bodies of a family differ
-    exactly where they are meant to.
-
-    Args:
-        file: The file's name.
-        edits: Numbers by tag and name of the one element `<tag name="name">`, and attribute.
-
-    Raises:
-        SilemError: If the installed `pybullet_data` lacks the file, there is no such element or
-            attribute, or there is more than one.
+    `edits` are numbers by tag and name of the one element `<tag name="name">`, and attribute. The
+    rest of the text stays as it is, byte for byte: bodies of a family differ where they are meant
+    to. Raises SilemError unless there is the file, one such element, and the attribute.
     """
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")
     except OSError as error:
         raise SilemError(f"pybullet_data has no model {file!r} ({error})") from error
     for (tag, name, attribute), values in edits.items():
-        elements = [m for m in re.finditer(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in m[0]]
+        elements = [e for e in re.findall(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in e]
         if len(elements) != 1:
             raise SilemError(f"{len(elements)} elements <{tag} name={name!r}> in {file}, not one")
-        (element,) = elements
-        pattern, value = rf'(\s{attribute}=")[^"]*(")', numbers(*values)
-        edited, count = re.subn(pattern, rf"\g<1>{value}\g<2>", element[0])
+        replaced = rf'\g<1>{numbers(*values)}"'
+        edited, count = re.subn(rf'(\s{attribute}=")[^"]*"', replaced, elements[0])
         if count != 1:
             raise SilemError(f"<{tag} name={name!r}> has no attribute {attribute!r}")
-        xml = xml[: element.start()] + edited + xml[element.end() :]
+        xml = xml.replace(elements[0], edited)
     return xml
 
 

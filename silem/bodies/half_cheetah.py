@@ -1,7 +1,5 @@
 """HC0, HC1 and HC2: HalfCheetah with a torso of length 1, 2 and 3 (Figure 2a)."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 
@@ -57,6 +55,9 @@ def body(name: str, torso_length_m: float) -> BulletBody:
         view=View((0.0, 1.0, -0.18), look_at_m=0.42, span_m=1.5 + torso_length_m),
     )
 
+
+NAMED = {"HC-#": body}
+"""Bodies that are named by a number in the place of #: this one by the length of its torso in m."""
 
 BODIES = {name: partial(body, name, length) for name, length in TORSO_LENGTHS_M.items()}
 

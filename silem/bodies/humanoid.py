@@ -3,11 +3,10 @@
 HumanoidR has a long right and a short left arm. Atlas has a module of its own.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -92,7 +91,33 @@ def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
     )
 
 
-def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
+def one_arm(name: str, factor: float) -> MujocoBody:
+    """Return a humanoid whose right arm is so many times as long."""
+    about = f"Humanoid with its right arm {factor:g} times as long"
+    return body(name, about, UNSCALED | {"right": factor})
+
+
+def arms(name: str, low: float, high: float) -> MujocoBody:
+    """Return a humanoid whose right arm has another length in each of E environments.
+
+    The factors are the middles of E equal parts of the range: of a single environment, its middle.
+    """
+    if not 0 < low < high:
+        raise SilemError(f"{name}: the arm's factors go from {low:g} up to {high:g}")
+
+    def each(n: int) -> list[MujocoBody]:
+        factors = [low + (i + 0.5) * (high - low) / n for i in range(n)]
+        return [one_arm(f"{name}-{factor:.4g}", factor) for factor in factors]
+
+    about = f"Humanoid with its right arm {low:g} to {high:g} times as long, by environment"
+    return replace(one_arm(name, (low + high) / 2), description=about, each=each)
+
+
+NAMED = {"Humanoid-arm-#": one_arm, "Humanoid-arm-#-#": arms}
+"""Bodies that are named by numbers in the place of #: factors on the right arm."""
+
+
+def placed(compiled: "mujoco.MjModel", qpos: np.ndarray) -> "mujoco.MjData":
     """Return a model's data in a pose."""
     import mujoco
 
@@ -102,7 +127,9 @@ def placed(compiled: mujoco.MjModel, qpos: np.ndarray) -> mujoco.MjData:
     return data
 
 
-def common(compiled: mujoco.MjModel, skeleton: Skeleton, standing_head_m: float) -> dict[str, Any]:
+def common(
+    compiled: "mujoco.MjModel", skeleton: Skeleton, standing_head_m: float
+) -> dict[str, Any]:
     """Return what is the same for all humanoids, or found in the same way in their models."""
     across = math.cos(_ELEVATION_RAD)
     direction = (across * math.cos(_AZIMUTH_RAD), across * math.sin(_AZIMUTH_RAD))

@@ -1,7 +1,5 @@
 """Bodies as their simulators have them: loaded into PyBullet, and measured in either."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from pathlib import Path
@@ -45,9 +43,7 @@ def spec(body: Body) -> mujoco.MjSpec:
     """Return a body's model as MuJoCo reads it; one that floats has a free joint.
 
     PyBullet's files lack what MuJoCo asks for beside a mass, and a root that floats has no joint.
-
-    Raises:
-        SilemError: If MuJoCo rejects the model.
+    Raises SilemError if MuJoCo rejects the model.
     """
     xml = body.model_xml()
     if isinstance(body, BulletBody):
@@ -101,8 +97,7 @@ def _in_mujoco(model: mujoco.MjModel) -> _Measured:
 def load(body: BulletBody, client: int) -> int:
     """Load a body as PyBullet's locomotion tasks do, and return PyBullet's number of it.
 
-    Raises:
-        SilemError: If PyBullet rejects the model.
+    Raises SilemError if PyBullet rejects the model.
     """
     try:  # a file is the only form in which PyBullet loads it
         with tempfile.TemporaryDirectory(prefix="silem_") as folder:

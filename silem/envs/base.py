@@ -4,13 +4,11 @@ A simulator is a module of this package with a `Simulation`: E bodies and the ta
 The rest is here: arguments, seeds, episodes and what is told of them, pictures, what is refused.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -22,12 +20,17 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from silem import bodies
 from silem.bodies import Body
 from silem.envs.camera import Camera
-from silem.util.errors import COUNT, SilemError, check_numbers, choose
+from silem.util.errors import COUNT, SilemError, choose
 
 RENDER_MODES = ("rgb_array",)
 SIMULATORS = ("bullet", "mujoco")
 
+INFO_KEY = "skeletal_features"
+"""Under which an environment's infos hold g(s), where it has a g of its own."""
+
 Infos = list[dict[str, Any]]
+Generators = Sequence[np.random.Generator]
+Stepped = tuple[np.ndarray, np.ndarray, np.ndarray, Infos]
 
 
 class Simulation(ABC):
@@ -36,13 +39,11 @@ class Simulation(ABC):
     observation_space: gymnasium.spaces.Box
 
     @abstractmethod
-    def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
-    ) -> tuple[np.ndarray, Infos]:
+    def begin(self, indices: np.ndarray, generators: Generators) -> tuple[np.ndarray, Infos]:
         """Start an episode of some bodies (n,); return first observations (n, O) and infos."""
 
     @abstractmethod
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Infos]:
+    def step(self, actions: np.ndarray) -> Stepped:
         """Step by actions (E, A); return observations (E, O), rewards, who fell, both (E,), infos.
 
         The arrays are new ones. A body that fell is left as it is.
@@ -58,6 +59,32 @@ class Simulation(ABC):
 
     def close(self) -> None:  # noqa: B027  not every simulator has anything to give back
         """Forget the past: what `begin` gives next is as new; closing twice is allowed."""
+
+
+class WithFeatures(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Any environment, with skeletal features of one's own in its infos.
+
+    Imitation learners compare these with the demonstrations', and act on observations as they are.
+    """
+
+    def __init__(
+        self, env: gymnasium.Env[Any, Any], g: Callable[[Any], Sequence[float] | np.ndarray]
+    ) -> None:
+        """Wrap an environment; `g` takes an observation and returns features (F,)."""
+        super().__init__(env)
+        self._g = g
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = super().reset(seed=seed, options=options)
+        return observation, info | {INFO_KEY: np.asarray(self._g(observation), np.float32)}
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step by an action."""
+        observation, *told, info = super().step(action)
+        return observation, *told, info | {INFO_KEY: np.asarray(self._g(observation), np.float32)}
 
 
 class _Filmed:
@@ -139,9 +166,6 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
         """Make the environment of a body, or of that name; for `options` see `make_vec`.
 
         Pictures of `width` times `height` pixels need the render mode "rgb_array".
-
-        Raises:
-            SilemError: If an argument is not allowed.
         """
         self.observation_space, self.action_space = self._set_up(body, 1, render_mode, options)
         self.picture_size = width, height
@@ -167,18 +191,14 @@ class SingleEnv(_Filmed, gymnasium.Env[np.ndarray, np.ndarray]):
             Observation (O,), float32, reward, whether the body has fallen, False, and an info:
             humanoids' with "skeletal_features" (F,), others' empty.
 
-        Raises:
-            SilemError: If the action has another shape or is not finite, or before `reset`.
+        Raises SilemError if the action has another shape or is not finite, or before `reset`.
         """
         action = self._check(action, (self.body.action_size,))
         (observation,), rewards, fallen, (info,) = self.simulation.step(action[None])
         return observation, float(rewards[0]), bool(fallen[0]), False, info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (H, W, 3), uint8, or None without a render mode.
-
-        Raises SilemError before `reset`, or where nothing can be drawn.
-        """
+        """Return a picture (H, W, 3), uint8, or None without a render mode."""
         return None if self.render_mode is None else self._picture()
 
 
@@ -207,18 +227,14 @@ class BatchedEnv(_Filmed, VecEnv):
         render_mode: str | None = "rgb_array",
         **options: Any,
     ) -> None:
-        """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None.
-
-        Raises:
-            SilemError: If an argument is not allowed.
-        """
-        check_numbers({"n_envs": n_envs}, {"n_envs": COUNT})
+        """Make the environments, see `make_vec`; `render_mode` is "rgb_array" or None."""
+        COUNT.check("n_envs", n_envs)
         spaces = self._set_up(body, int(n_envs), render_mode, options)
         metadata = self.metadata
         super().__init__(int(n_envs), *spaces)
         self.metadata = metadata  # stable-baselines3 promises "human", and no frames per second
         self.max_steps = self.body.max_steps if max_steps is None else max_steps
-        check_numbers({"max_steps": self.max_steps}, {"max_steps": COUNT})
+        COUNT.check("max_steps", self.max_steps)
         self._generators: list[np.random.Generator] = []
         self._lengths, self._returns = np.zeros(n_envs, dtype=int), np.zeros(n_envs)
         self._actions: np.ndarray | None = None
@@ -253,10 +269,7 @@ class BatchedEnv(_Filmed, VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take (E, A) actions for the next `step_wait`.
-
-        Raises SilemError if they have another shape or are not finite, or before `reset`.
-        """
+        """Take (E, A) actions for the next `step_wait`; SilemError where they cannot be taken."""
         self._actions = self._check(actions, (self.num_envs, self.body.action_size))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -273,25 +286,15 @@ class BatchedEnv(_Filmed, VecEnv):
             for index in ended.tolist():
                 infos[index]["terminal_observation"] = observations[index].copy()
                 infos[index]["TimeLimit.truncated"] = not fallen[index]
-                infos[index]["episode"] = self._summary(index)
+                n_steps, t = int(self._lengths[index]), time.perf_counter() - self._built_at
+                infos[index]["episode"] = {"r": float(self._returns[index]), "l": n_steps, "t": t}
+                summary = self.simulation.summary(index, n_steps, self.max_steps)
+                infos[index]["episode"] |= summary
             observations[ended] = self._begin(ended)
         return observations, rewards.astype(np.float32), dones, infos
 
-    def _summary(self, index: int) -> dict[str, float]:
-        n_steps = int(self._lengths[index])
-        return {
-            "r": float(self._returns[index]),
-            "l": n_steps,
-            "t": time.perf_counter() - self._built_at,
-            **self.simulation.summary(index, n_steps, self.max_steps),
-        }
-
     def render(self, mode: str | None = None) -> np.ndarray:
-        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array".
-
-        Raises SilemError for any other, without a render mode, before `reset`, or where nothing
-        can be drawn.
-        """
+        """Return a picture (H, W, 3), uint8, of the first environment; no mode is "rgb_array"."""
         choose("render mode", mode or "rgb_array", RENDER_MODES)
         if self.render_mode is None:
             raise SilemError("no pictures with render_mode None; allowed: render_mode='rgb_array'")

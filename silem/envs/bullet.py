@@ -6,8 +6,6 @@ What runs after every step is plain Python: at a few dozen numbers that is twice
 NumPy's calls, whose code the simulator has pushed out of the processor's caches.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import weakref
@@ -69,8 +67,7 @@ class Client:
         advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
             for one control step.
 
-    Raises:
-        SilemError: If PyBullet has no client left or cannot load the body.
+    Raises SilemError if PyBullet has no client left or cannot load the body.
     """
 
     def __init__(self, body: BulletBody) -> None:
@@ -115,7 +112,8 @@ class Client:
         client, base = {"physicsClientId": self.client}, measure.BASE
         pybullet.resetSimulation(**client)
         pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, **client)
-        pybullet.setGravity(0, 0, -_GRAVITY_M_S2, **client)
+        gravity = [0.0 - _GRAVITY_M_S2 * part for part in self.body.up]
+        pybullet.setGravity(*gravity, **client)
         pybullet.setDefaultContactERP(_CONTACT_ERP, **client)
         step = {"fixedTimeStep": self.body.control_step_s, "numSubSteps": SUBSTEPS}
         iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
@@ -203,6 +201,10 @@ class LocomotionTask:
     contacts, in the observation and in the alive rule, are those of one step before. Whoever
     hands an observation out clips it.
 
+    On a slope the task is the floor's: height, way, bearing, contacts and the alive rule are
+    measured along and against it. What is felt is gravity's: roll and pitch are those against the
+    vertical, and the velocity is split into what goes up and what goes level.
+
     Attributes:
         way_m: How far the root has come along x.
         n_upright: For how many steps the body was upright.
@@ -215,6 +217,7 @@ class LocomotionTask:
         self._weights = [part.weight / body.n_parts for part in body.parts]
         scales = [2 / (upper - lower) for lower, upper in limits]
         self._ranges = [(s, -lower * s - 1) for s, (lower, _) in zip(scales, limits, strict=True)]
+        self._slope = body.up if body.slope_deg else None
         self._at_rest = [0.0] * len(limits)
         self._no_foot = [0.0] * len(body.feet)
 
@@ -260,6 +263,8 @@ class LocomotionTask:
             ahead -= weight * x
             aside -= weight * y
         distance = math.hypot(ahead, aside)
+        if self._slope is not None:
+            roll, pitch, vx, vz = _felt(self._slope, (roll, pitch, yaw), (vx, vz))
         cos, sin = math.cos(yaw), math.sin(yaw)
         observation = [
             parts[0][2] - self._start_height_m,
@@ -286,6 +291,22 @@ class LocomotionTask:
         return observation, distance, costs + _LIMIT_COST * n_at_limit
 
 
+def _felt(up: _Numbers, rpy: _Numbers, velocity: _Numbers) -> _Numbers:
+    """Return roll and pitch against the vertical, and velocities level and up, on a slope.
+
+    Given are the vertical, roll, pitch and yaw, and velocities along x and z, in the floor's frame.
+    """
+    (sr, sp, sy), (cr, cp, cy) = [[of(angle) for angle in rpy] for of in (math.sin, math.cos)]
+    sine, _, cosine = up
+    # the vertical's parts along the root's own axes: forward, left, up
+    forward = sine * cy * cp - cosine * sp
+    left = sine * (cy * sp * sr - sy * cr) + cosine * cp * sr
+    above = sine * (cy * sp * cr + sy * sr) + cosine * cp * cr
+    vx, vz = velocity
+    level, rise = cosine * vx - sine * vz, sine * vx + cosine * vz
+    return math.atan2(left, above), -math.asin(max(-1.0, min(1.0, forward))), level, rise
+
+
 class Simulation(base.Simulation):
     """E PyBullet clients with the same body, stepped in turn in one process.
 
@@ -303,7 +324,7 @@ class Simulation(base.Simulation):
         self.observation_space = gymnasium.spaces.Box(-bound, bound, shape, np.float32)
 
     def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+        self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
         if not self.clients:
@@ -315,7 +336,7 @@ class Simulation(base.Simulation):
             observations.append(self.tasks[index].begin(self.clients[index].reset(angles)))
         return _clipped(observations), [{} for _ in generators]
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
+    def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
         rows = actions.tolist()
         # One kind of work after the other, so that its code is still in the processor's caches.

@@ -1,7 +1,5 @@
 """A camera that follows a body, whichever simulator moves it: MuJoCo draws it, offscreen."""
 
-from __future__ import annotations
-
 import atexit
 import math
 
@@ -36,10 +34,8 @@ class Camera:
         """Set up a camera for pictures of `width` times `height` pixels.
 
         `span_m` is what is seen at the body, in place of its view's; the same for several bodies
-        shows them to scale.
-
-        Raises:
-            SilemError: A size or the span is not positive, or nothing can be drawn offscreen here.
+        shows them to scale. Raises SilemError: a size or the span is not positive, or nothing can
+        be drawn offscreen here.
         """
         span_m = body.view.span_m if span_m is None else span_m
         if min(width, height) < 1 or not span_m > 0:

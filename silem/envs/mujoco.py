@@ -4,8 +4,6 @@ The only change to dm_control's task is the speed that earns the full reward: th
 which the paper's reward asks to be matched (Figure 3b), in place of 1 m/s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,7 +16,7 @@ from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import base
 from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
-from silem.util.errors import COUNT, RATE, check_numbers
+from silem.util.errors import COUNT, RATE, SilemError
 
 JOINT_NOISE_RAD = 0.02  # hinges start within +- this of the standing pose
 VELOCITY_NOISE = 0.02  # and joint velocities within +- this of rest, in m/s and rad/s
@@ -52,6 +50,7 @@ class Reading(NamedTuple):
         points: Landmarks in the world in m, (E, P, 3).
         torso_axes: Forward, left and up of the torso in the world, as rows, (E, 3, 3).
         com_velocity: Of the centre of mass, in the world in m/s, (E, 3).
+        up: The vertical in the world, which is the floor's; None is z.
     """
 
     qpos: np.ndarray
@@ -59,6 +58,7 @@ class Reading(NamedTuple):
     points: np.ndarray
     torso_axes: np.ndarray
     com_velocity: np.ndarray
+    up: tuple[float, float, float] | None = None
 
     @property
     def head_m(self) -> np.ndarray:
@@ -67,11 +67,11 @@ class Reading(NamedTuple):
 
     def features(self) -> np.ndarray:
         """Return the skeletal features (E, F), float32."""
-        return skeletal_features(self.points, self.torso_axes, self.com_velocity)
+        return skeletal_features(self.points, self.torso_axes, self.com_velocity, self.up)
 
 
 class Simulation(base.Simulation):
-    """E states of one body's model, stepped in one thread or several.
+    """E states of one body's model, or each of its own body's, stepped in one thread or several.
 
     A control step is dm_control's: the last substep stops after the part that brings positions
     and velocities up to date, and the next control step begins with the rest of it. An episode's
@@ -93,15 +93,15 @@ class Simulation(base.Simulation):
         n_threads: int = 1,
         speed_m_s: float | None = None,
         starts: StartStates | None = None,
+        bodies: Sequence[MujocoBody] | None = None,
     ) -> None:
         """Prepare the states; the options are those of `silem.envs.make_vec`.
 
-        Raises:
-            SilemError: If an option is not allowed.
+        Raises SilemError if an option is not allowed.
         """
         speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
-        options = {"n_threads": n_threads, "speed_m_s": speed_m_s}
-        check_numbers(options, {"n_threads": COUNT, "speed_m_s": RATE})
+        COUNT.check("n_threads", n_threads)
+        RATE.check("speed_m_s", speed_m_s)
         self.body, self._speed_m_s, self._starts = body, speed_m_s, starts
         size = 2 * body.action_size + len(_OBSERVED) + 3 + 6
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -109,6 +109,15 @@ class Simulation(base.Simulation):
         self._landmarks = Landmarks(self.model, body.skeleton)
         self._batch = batch = Batch(self.model, n_envs, min(n_envs, n_threads), persistent=True)
         self.qpos, self.qvel, self._controls = map(batch.bind, ("qpos", "qvel", "ctrl"))
+        own = body.each(n_envs) if body.each and bodies is None else bodies
+        self._bodies = [body] * n_envs if own is None else list(own)
+        if own is not None:
+            if len(self._bodies) != n_envs:
+                raise SilemError(f"{len(self._bodies)} bodies for {n_envs} environments")
+            try:
+                batch.set_models([stepped_model(each) for each in self._bodies])
+            except (ValueError, mujoco.FatalError) as error:  # of other sizes
+                raise SilemError(f"bodies of one batch differ in lengths alone: {error}") from error
         self._places = batch.bind("xpos")
         self._torso = batch.bind("xmat")[:, self._landmarks.torso]
         self._com_velocity = batch.bind("subtree_linvel")[:, self._landmarks.root]
@@ -144,6 +153,7 @@ class Simulation(base.Simulation):
             self._places[indices].take(self._landmarks.ids, 1),
             self._landmarks.oriented(self._torso[indices]),
             self._com_velocity[indices].copy(),
+            self.body.up if self.body.slope_deg else None,
         )
 
     def data(self, index: int = 0) -> mujoco.MjData:
@@ -151,15 +161,16 @@ class Simulation(base.Simulation):
         return self._batch.get_data(index)
 
     def begin(
-        self, indices: np.ndarray, generators: Sequence[np.random.Generator]
+        self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:
         """Start an episode of some bodies."""
-        states = [start_state(generator, self.body, self._starts) for generator in generators]
+        pairs = zip(generators, indices.tolist(), strict=True)
+        states = [start_state(chance, self._bodies[i], self._starts) for chance, i in pairs]
         self.place(indices, *map(np.array, zip(*states, strict=True)))
         self._start_xy[indices] = self.qpos[indices, :2]
         return _observed(self.read(indices))
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, base.Infos]:
+    def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
         actions = actions.clip(-1.0, 1.0)
         failed = self.advance(actions)
@@ -196,6 +207,8 @@ def stepped_model(body: MujocoBody) -> mujoco.MjModel:
     drawn = [geom for geom in drawn if geom.parent.explicitinertial and geom.name not in paired]
     for thing in (*spec.sensors, *drawn):
         spec.delete(thing)
+    if body.slope_deg:
+        spec.option.gravity = np.linalg.norm(spec.option.gravity) * -np.array(body.up)
     flags = mujoco.mjtDisableBit
     spec.option.disableflags |= flags.mjDSBL_ISLAND | flags.mjDSBL_MIDPHASE
     root = spec.body(body.skeleton.torso)

@@ -6,8 +6,6 @@ may differ as they do (line ends, blanks, remarks, case, order of sections), in 
 an error names file, line and bone.
 """
 
-from __future__ import annotations
-
 import codecs
 import hashlib
 import http.client
@@ -27,21 +25,10 @@ URL = "http://mocap.cs.cmu.edu/subjects/"
 ENV = "SILEM_MOCAP_DIR"
 """Environment variable: a folder that holds the files already, as 08/08.asf, 08/08_01.amc, ..."""
 
-SHA256 = {
-    "08/08.asf": "b4e0a77603de53d276e0cc564810e83b43df2b79e2f6abac43195aad5b6d7c76",
-    "08/08_01.amc": "08345dab7d5d0b1be323ed7f016ae78a1cbf980129a013812afcd8639074513e",
-    "08/08_02.amc": "d318b2a66b9f7cf69099d6d10dc2a83817fbc9059d76b6ba9c6cfaad50fd16d1",
-    "08/08_03.amc": "dc0f3790c96b704bf5c0ec18e4ead1f2b3e3903e78aa31b3da3be5087a8dab16",
-    "08/08_04.amc": "29d629f9d7b97675bbf99403461321c1d1326db52bff40a63aaf7bb9102d3702",
-    "08/08_05.amc": "d7488ac9be4717d913f21ce008359dd9f2e6cb91b478e957e06f2aec13c8104b",
-    "08/08_06.amc": "1749b0ca0b5e55e3dcaa73358a096dc23aa1769b7f1ddaa15c312e4c5b1544cb",
-    "08/08_07.amc": "fdf976cb96d89eb7dc8a6aad65aaa467cce9bb2ec6beeb738c11d23931f25812",
-    "08/08_08.amc": "08efebec89f9eb10d8d821a182715cc341b629300764894efc40f0093691933f",
-    "08/08_09.amc": "7a0f788e8a86a7fe0c7e710a374d3f9ed8ab5e673b512ebec6bc6a5e87a5a525",
-    "08/08_10.amc": "9e181a77c215f83f184d1fe81ecbcd77c50e4875c5dbfd7e61ff2b4581b96cca",
-    "08/08_11.amc": "de1a5a81b718d201261e592588ee2660676714154e0d15236a1d8079c5080038",
-}
-"""SHA-256 of each file with LF line ends; the server's own line ends may be CR LF."""
+_SUMS = Path(__file__).with_name("cmu.sha256").read_text().split()
+SHA256 = dict(zip(_SUMS[1::2], _SUMS[::2], strict=True))
+"""SHA-256 of each file, in ``cmu.sha256`` as sha256sum writes it, with LF line ends; the server's
+own line ends may be CR LF."""
 
 LICENCE = "free for all uses"
 ACKNOWLEDGEMENT = (
@@ -57,12 +44,10 @@ _CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis"
 def mocap_file(name: str) -> Path:
     """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
-    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what
-    is not CMU's is kept aside in the cache, under the same name and ".mismatch".
-
-    Raises:
-        SilemError: The name is unknown, the file is not in that folder, cannot be downloaded, or
-            has not the SHA-256 expected.
+    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what is
+    not CMU's is kept aside in the cache, under the same name and ".mismatch". Raises SilemError:
+    the name is unknown, the file is not in that folder, cannot be downloaded, or has not the
+    SHA-256 expected.
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
@@ -188,9 +173,8 @@ def _blocks(lines: list[_Line], starts: Callable[[str], bool]) -> list[list[_Lin
 def read_asf(path: Path | str) -> AsfSkeleton:
     """Read a skeleton, an ASF file.
 
-    Raises:
-        SilemError: The file is missing or truncated; it is not in degrees, or its root is not as
-            CMU's; or a bone is without name, there twice, or not in the hierarchy.
+    Raises SilemError: the file is missing or truncated; it is not in degrees, or its root is not as
+    CMU's; or a bone is without name, there twice, or not in the hierarchy.
     """
     path = Path(path)
     _, *found = _blocks(_lines(path), lambda word: word.startswith(":"))
@@ -242,9 +226,8 @@ def _bone(name: str, block: list[_Line]) -> Bone:
 def read_amc(path: Path | str, skeleton: AsfSkeleton) -> AmcClip:
     """Read a clip, an AMC file, of a skeleton: frames with a number for every axis of every bone.
 
-    Raises:
-        SilemError: The file is missing or truncated, is not in degrees, or a frame is out of
-            order, lacks a bone, or has one that is unknown, repeated, or has wrong values.
+    Raises SilemError: the file is missing or truncated, is not in degrees, or a frame is out of
+    order, lacks a bone, or has one that is unknown, repeated, or has wrong values.
     """
     path = Path(path)
     header, *blocks = _blocks(_lines(path), lambda word: word.isdigit() and len(word) < 10)

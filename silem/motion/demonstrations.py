@@ -1,7 +1,5 @@
 """State-only demonstrations tau_E: skeletal features of an expert's episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -47,7 +45,7 @@ class Demonstrations:
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
         if len(self.returns) not in (0, len(self.features)):
             raise SilemError(f"{len(self.returns)} returns of {len(self.features)} trajectories")
-        n_states = sum(len(array) for array in self.features)
+        n_states = sum(map(len, self.features))
         for name, array in self.extra.items():
             if name in _OWN or array.shape[:1] != (n_states,):
                 raise SilemError(
@@ -65,11 +63,11 @@ class Demonstrations:
         """F, the number of skeletal features per state."""
         return int(self.features[0].shape[1])
 
-    def first(self, n: int) -> Demonstrations:
+    def first(self, n: int) -> "Demonstrations":
         """Return the first ``n`` trajectories; raises SilemError if there are fewer."""
         if not 1 <= n <= len(self.features):
             raise SilemError(f"asked for {n} trajectories, allowed: 1 to {len(self.features)}")
-        n_states = sum(len(array) for array in self.features[:n])
+        n_states = sum(map(len, self.features[:n]))
         extra = {name: array[:n_states] for name, array in self.extra.items()}
         return replace(self, features=self.features[:n], returns=self.returns[:n], extra=extra)
 
@@ -85,7 +83,7 @@ class Demonstrations:
         files.write_npz(Path(path), own | dict(self.extra))
 
     @classmethod
-    def of(cls, given: Any) -> Demonstrations:
+    def of(cls, given: Any) -> "Demonstrations":
         """Take demonstrations, or wrap a list of (T + 1, F) arrays, checked as a file's are."""
         wanted = "a Demonstrations or a list of arrays (T + 1, F), one for each episode"
         if isinstance(given, Demonstrations):
@@ -103,27 +101,25 @@ class Demonstrations:
             ) from error
 
     @classmethod
-    def load(cls, source: Path | str) -> Demonstrations:
+    def load(cls, source: Path | str) -> "Demonstrations":
         """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
 
-        Raises:
-            SilemError: There is no such file, or it is none or damaged.
+        Raises SilemError: there is no such file, or it is none or damaged.
         """
         path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
         arrays = files.read_npz(path)
-        missing = set(_OWN) - arrays.keys()
-        if missing:
-            raise SilemError(f"{path.name} is no demonstrations file: it lacks {sorted(missing)}")
-        features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
-        whole = features.ndim == 2 and lengths.ndim == 1 and lengths.dtype.kind == "i"
-        # sums of Python's integers cannot overflow
-        if not whole or min(lengths, default=0) < 1 or sum(lengths.tolist()) != len(features):
-            raise SilemError(f"{path.name} is damaged: trajectory lengths do not add up")
-        if returns.ndim != 1 or returns.dtype.kind != "f" or not np.isfinite(returns).all():
-            raise SilemError(f"{path.name} is damaged: its returns are no numbers")
-        if body.shape or body.dtype.kind != "U" or run_id.shape or run_id.dtype.kind != "U":
-            raise SilemError(f"{path.name} is damaged: its body or its expert's run is no text")
         try:
+            if missing := set(_OWN) - arrays.keys():
+                raise SilemError(f"it is no demonstrations file: it lacks {sorted(missing)}")
+            features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
+            whole = features.ndim == 2 and lengths.ndim == 1 and lengths.dtype.kind == "i"
+            # sums of Python's integers cannot overflow
+            if not whole or min(lengths, default=0) < 1 or sum(lengths.tolist()) != len(features):
+                raise SilemError("it is damaged: trajectory lengths do not add up")
+            if returns.ndim != 1 or returns.dtype.kind != "f" or not np.isfinite(returns).all():
+                raise SilemError("it is damaged: its returns are no numbers")
+            if {body.shape, run_id.shape} != {()} or {body.dtype.kind, run_id.dtype.kind} != {"U"}:
+                raise SilemError("it is damaged: its body or its expert's run is no text")
             parts = np.split(_float32(features), np.cumsum(lengths)[:-1])
             return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
         except SilemError as error:
@@ -144,14 +140,10 @@ def file_of(name: str) -> Path:
 
     Those that no run makes come with the package, and are found there if not in the data folder.
     """
-    path = _own_file(name)
-    packaged = not path.exists() and path.stem in _packaged()
-    return paths.clips_dir() / path.name if packaged else path
-
-
-def _own_file(name: str) -> Path:
     stem = check_name("demonstrations", name).removesuffix(".npz")
-    return paths.demonstrations_dir() / f"{stem}.npz"
+    path = paths.demonstrations_dir() / f"{stem}.npz"
+    packaged = not path.exists() and stem in _packaged()
+    return paths.clips_dir() / path.name if packaged else path
 
 
 def _packaged() -> dict[str, dict[str, Any]]:
@@ -196,8 +188,7 @@ def is_published(name: str) -> bool:
 def load_published(name: str) -> tuple[Demonstrations, str]:
     """Return published demonstrations and their file's SHA-256, after checking both.
 
-    Raises:
-        SilemError: The file is missing, damaged, another body's, or not the manifest's.
+    Raises SilemError: the file is missing, damaged, another body's, or not the manifest's.
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
@@ -207,7 +198,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
         )
     there = Demonstrations.load(name)
     about = manifest().get(path.stem, {"body": there.body})
-    if there.body != about.get("body") or (path.stem in bodies.names() and there.body != path.stem):
+    if there.body != about.get("body") or (bodies.exists(path.stem) and there.body != path.stem):
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)
 
@@ -227,7 +218,7 @@ def publish(
 
     The manifest beside it takes what else is to be said `about` them, such as source and licence.
     """
-    path = _own_file(name)
+    path = paths.demonstrations_dir() / f"{check_name('demonstrations', name)}.npz"
     content = _read(path.parent)
     demonstrations.save(path)
     returns = demonstrations.returns

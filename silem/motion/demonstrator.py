@@ -6,8 +6,6 @@ the floor and leaves the rest as captured. The way of a man with other legs is s
 model's, or its planted feet would slide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -99,8 +97,7 @@ def model() -> mujoco.MjModel:
 def load_motion(clip: str, rate_hz: float = RATE_HZ) -> Motion:
     """Pose one of `CLIPS` from the raw files (`silem.motion.clips`).
 
-    Raises:
-        SilemError: The clip is unknown or cannot be had, or as `read_amc` and `pose`.
+    Raises SilemError: the clip is unknown or cannot be had, or as `read_amc` and `pose`.
     """
     skeleton = read_asf(clips.mocap_file("08/08.asf"))
     amc = read_amc(clips.mocap_file(f"08/{choose('clip', clip, CLIPS)}.amc"), skeleton)
@@ -131,10 +128,9 @@ def pose(
         heading_rad: Direction of walking, from CMU's forward axis (z) to the left; None means from
             the first frame's place to the last one's.
 
-    Raises:
-        SilemError: The clip's skeleton is not the model's, a frame is held for longer than
-            `MAX_HELD_S`, the root jumps as no man's can, the clip has no 3 states or goes nowhere,
-            or a rate or the slope is not allowed.
+    Raises SilemError: the clip's skeleton is not the model's, a frame is held for longer than
+    `MAX_HELD_S`, the root jumps as no man's can, the clip has no 3 states or goes nowhere, or a
+    rate or the slope is not allowed.
     """
     if not 0 < rate_hz <= capture_rate_hz < float("inf"):
         raise SilemError(
@@ -287,8 +283,7 @@ def published_motion(clip: str) -> Motion:
 def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> list[Path]:
     """Compute subject 8's clips from the raw files (`silem.motion.clips`); publish a file of each.
 
-    Raises:
-        SilemError: As `load_motion`, or another process is publishing.
+    Raises SilemError as `load_motion`, or another process is publishing.
     """
     with demos.publishing():
         return [
@@ -310,10 +305,8 @@ def publish_own(
     """Publish a clip of your own, of another of CMU's subjects for example, as demonstrations.
 
     Runs find it by its name; what had this name is replaced. Rate and slope are those of `pose`.
-
-    Raises:
-        SilemError: The name is not allowed, as `read_asf`, `read_amc` and `pose`, or another
-            process is publishing.
+    Raises SilemError: the name is not allowed, as `read_asf`, `read_amc` and `pose`, or another
+    process is publishing.
     """
     taken = {*bodies.names(), *map(published_name, CLIPS)}
     if check_name("clip", name) in taken or "." in name or "_on_" in name:

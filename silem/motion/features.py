@@ -4,8 +4,6 @@ The demonstrator and every learner have their own g, because their models name a
 parts differently; all compute the same quantities in the same order, from the same landmarks.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import mujoco
@@ -56,8 +54,7 @@ the two segments that meet there, pi when the limb is straight."""
 class Landmarks:
     """Where a model's landmarks are found in its data: the numbers of its bodies.
 
-    Raises:
-        SilemError: If the model lacks one of the skeleton's bodies.
+    Raises SilemError if the model lacks one of the skeleton's bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, skeleton: Skeleton) -> None:
@@ -86,7 +83,10 @@ class Landmarks:
 
 
 def skeletal_features(
-    points: np.ndarray, torso_axes: np.ndarray, com_velocity: np.ndarray
+    points: np.ndarray,
+    torso_axes: np.ndarray,
+    com_velocity: np.ndarray,
+    up: tuple[float, float, float] | None = None,
 ) -> np.ndarray:
     """Compute g(s), (..., F), float32, from what a body's own g read off its state.
 
@@ -94,6 +94,7 @@ def skeletal_features(
         points: Landmarks in the world in m, (..., P, 3), in the order of `POINTS`.
         torso_axes: Forward, left and up of the torso in the world, as rows, (..., 3, 3).
         com_velocity: Velocity of the whole body's centre of mass in the world in m/s, (..., 3).
+        up: The vertical in the world; None is z.
     """
     rows = torso_axes.swapaxes(-1, -2)
     vectors = points.take(_ENDS, -2) - points.take(_STARTS, -2)
@@ -102,7 +103,7 @@ def skeletal_features(
         (offsets @ rows).reshape(*offsets.shape[:-2], 12),
         _angles(vectors[..., 4:, :]),
         points[..., _HEAD, 2:],
-        torso_axes[..., 2],
+        torso_axes[..., 2] if up is None else torso_axes @ np.array(up),
         (com_velocity[..., None, :] @ rows)[..., 0, :],
     )
     return np.concatenate(parts, axis=-1, dtype=np.float32)

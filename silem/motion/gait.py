@@ -5,8 +5,6 @@ foot lands where it is farthest ahead of the torso and leaves the floor where it
 and a man's clip is measured as a policy's episode is: without forces, floor or height of the torso.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Sequences of poses (T, nq) of a model with a free root joint first, and the soles of its feet."""
 
-from __future__ import annotations
-
 import itertools
 
 import mink
@@ -66,10 +64,8 @@ def observe(
 class Soles(mink.Limit):
     """The K points of the feet that can touch the floor first: capsule ends and box corners.
 
-    For inverse kinematics, the constraint that none of them goes below the floor z = 0.
-
-    Raises:
-        SilemError: A foot has no shape that collides, or one that is no sphere, capsule or box.
+    For inverse kinematics, the constraint that none of them goes below the floor z = 0. Raises
+    SilemError: a foot has no shape that collides, or one that is no sphere, capsule or box.
     """
 
     def __init__(self, model: mujoco.MjModel, skeleton: Skeleton) -> None:

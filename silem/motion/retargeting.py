@@ -7,8 +7,6 @@ keeping the forward motion instead would drag every planted foot over the floor.
 the middle of the hips by the ratio of the spines, the hands the shoulders by that of the arms.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -80,7 +78,7 @@ class Limbs(NamedTuple):
     hips: float  #: left hip to right hip
 
     @classmethod
-    def of(cls, points: np.ndarray) -> Limbs:
+    def of(cls, points: np.ndarray) -> "Limbs":
         """Measure the landmarks (..., P, 3) of one or more poses: of several, the 95 % quantile.
 
         Where a landmark lies beside its joint's axis a bent limb looks shorter than it is, and a
@@ -111,8 +109,7 @@ class Targets(NamedTuple):
 def targets(motion: Motion, body: MujocoBody) -> Targets:
     """Scale a demonstrator's motion, T frames, to a learner.
 
-    Raises:
-        SilemError: The motion holds NaN or infinity.
+    Raises SilemError: the motion holds NaN or infinity.
     """
     for name in ("points", "torso_axes"):
         _check_finite(getattr(motion, name), f"motion {motion.name}: {name} of frame", "hold")
@@ -263,8 +260,7 @@ _PUBLISHED = [field.name for field in fields(IKResult)][6:]
 def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -> IKResult:
     """Pose a body so that its hands, feet and torso follow a demonstrator's, frame by frame.
 
-    Raises:
-        SilemError: The motion holds NaN or infinity, or no frame converges.
+    Raises SilemError: the motion holds NaN or infinity, or no frame converges.
     """
     model, wanted = _compiled(body), targets(motion, body)
     title, n_solved = f"{motion.name} on {body.name}", 2 * len(motion.points)
@@ -308,9 +304,8 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
     """Retarget a published clip to the three humanoids, and publish the result, a file per body.
 
-    Raises:
-        SilemError: The clip was not published, or as `retarget_clip`, or another process is
-            publishing.
+    Raises SilemError: the clip was not published, or as `retarget_clip`, or another process is
+    publishing.
     """
     source, written = published_name(clip), []
     with demos.publishing():
@@ -352,11 +347,9 @@ def demonstration_states(name: str, body: MujocoBody) -> tuple[np.ndarray, np.nd
 
     Peng20 retargets to an Atlas whose ankles turn further than those of the Atlas that other
     methods train. A hinge beyond its range is put to the limit, at rest, and the body is lifted
-    until both soles are above the floor; states that fit are returned as they are.
-
-    Raises:
-        SilemError: As `silem.motion.demonstrations.load_published`, or there are no states, or
-            those of another body or with NaN or infinity.
+    until both soles are above the floor; states that fit are returned as they are. Raises
+    SilemError as `silem.motion.demonstrations.load_published`, or there are no states, or those of
+    another body or with NaN or infinity.
     """
     extra = demos.load_published(name)[0].extra
     missing = [array for array in ("qpos", "qvel") if array not in extra]

@@ -4,8 +4,6 @@ Hyper-parameters, results and the claims that the scorecard checks come from her
 table or sentence it was printed in.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -145,8 +143,7 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
         The values by the names of ``HyperParameters``, those alone that the paper prints for the
         method: SILEM⁻ has none for the transform.
 
-    Raises:
-        SilemError: If the paper has none for them.
+    Raises SilemError if the paper has none for them.
     """
     own = demonstrations == body and body not in _ORIGINAL_BODIES
     if method == "silem-minus" and own and _best(body, "silem-minus-own"):

@@ -11,8 +11,6 @@ the committed figures. The steps are separate:
 A failing notebook or a Sphinx warning fails the build.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os
@@ -32,7 +30,7 @@ from tqdm import tqdm
 from silem.report import glance, reads, results, style, web
 from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
-from silem.util.files import lock, read_json, write_json
+from silem.util.files import lock, read_json, write_json, write_text
 from silem.util.paths import REPO, data_dir
 
 Parameters = Mapping[str, Mapping[str, Any]]
@@ -47,6 +45,8 @@ BOOK_PARAMETERS: Parameters = {
     "10_humanoids": {"n_episodes": 100, "video_s": 2.0},
     "11_retargeting": {"film_all": True, "video_s": 2.3},
     "12_walking": {"budget": "book", "video_s": 6.0},
+    "16_any_body": {"budget": "quick", "steps": 20_000, "video_s": 6.0},
+    "17_beyond": {"n_episodes": 20},
 }
 """The book's own; the notebooks' defaults are made for tests."""
 
@@ -66,7 +66,8 @@ def notebooks() -> list[Path]:
 def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
     """Draw the figure that stands as a file in ``book/figures``: same records, same bytes."""
     path = folder / "halfcheetah.svg"
-    style.save(normalised_scores(results.load_records("halfcheetah", "book")), path)
+    figure = normalised_scores(results.load_records("halfcheetah", "book"))
+    write_text(path, style.svg(figure))
     return [path]
 
 
@@ -169,28 +170,24 @@ def current(root: Path = REPO) -> Path | None:
 
 def build(
     n_workers: int = 2,
-    reuse_executed: bool = False,
     root: Path = REPO,
     parameters: Parameters = BOOK_PARAMETERS,
 ) -> Path:
     """Build the whole book in ``_build`` under `root`, and return the folder of its pages.
 
-    `n_workers` notebooks run at a time, or where there are any those executed last time are taken.
-    SilemError if a notebook or a page fails, or another build is under way.
+    `n_workers` notebooks run at a time. SilemError if one or a page fails, or another build runs.
     """
     folder = root / "_build"
     executed, source = folder / "executed", folder / "source"
     with lock(folder / "book.lock"):
         (folder / _STATE).unlink(missing_ok=True)
         digest = source_digest()
-        if not (reuse_executed and any(executed.glob("*.ipynb"))):
-            execute(notebooks(), executed, n_workers, parameters)
+        execute(notebooks(), executed, n_workers, parameters)
         stage(executed, source)
         web.write(source / "book" / "_static" / "web")
         build_html(source, root)
         web.finish(folder / "html")
-        if not reuse_executed:
-            write_json(folder / _STATE, {"digest": digest})
+        write_json(folder / _STATE, {"digest": digest})
     return folder / "html"
 
 
@@ -198,9 +195,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Build the book, or draw its figures, from the command line; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m silem.report.build", description=__doc__)
     parser.add_argument("--workers", type=int, default=2, help="notebooks at a time")
-    parser.add_argument(
-        "--reuse-executed", action="store_true", help="take the notebooks executed last time"
-    )
     parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
@@ -209,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             drawn = [*draw_figures(), *glance.write()]
             print(*(path.relative_to(REPO) for path in drawn), sep="\n")
         else:
-            pages = build(options.workers, options.reuse_executed)
+            pages = build(options.workers)
             seconds = time.perf_counter() - started
             print(f"The book is built ({seconds:.0f} s). Open {pages / 'index.html'}")
     except SilemError as error:

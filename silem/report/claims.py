@@ -1,6 +1,7 @@
 """The scorecard: the paper's claims, each with the rule that decides it, and what our runs say.
 
-The rules were fixed before the cells that they judge were complete.
+The rules, in ``claims.toml``, were fixed before the cells that they judge were complete, the Ants'
+before any run.
 A claim measures one or two quantities, each a mean over trials against bounds. Its interval is a
 95 % t interval (Student's for one cell, Welch's for two). A quantity passes where the whole
 interval lies within its bounds and fails where all of it lies outside; a claim "holds" or "does not
@@ -8,46 +9,39 @@ hold" where its quantities decide it, and is "undecided" otherwise, with the rea
 holds the variance of the demonstrator: all imitators of a study learn from the same one.
 """
 
-from __future__ import annotations
-
+import math
+import tomllib
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
-from silem import paper
+from silem import bodies, paper
+from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics
 from silem.report.statistics import NO_INTERVAL, Interval
 from silem.report.style import number
 from silem.report.tables import small, styled
 from silem.study.settings import BUDGETS
+from silem.study.studies import cells
 from silem.util.errors import choose
 
 MIN_TRIALS, MARGIN, WALKING = 3, 0.1, 0.5
-RULES = {
-    "trials": f"Every cell of a claim needs {MIN_TRIALS} trials of the planned iterations.",
-    "margin": f"Two levels agree within {100 * MARGIN:.0f} % of their scale: for returns of the"
-    " span from the paper's random policy to its expert (humanoids: of the highest return), for"
-    " rewards of D of the largest, for scores and shares of 1, for speeds of the demonstrator's.",
-    "score": "The mean return over trials by the mean return of the body's own experts; its"
-    " interval holds the spread of both. Beside it stands the score against the best of them.",
-    "expert level": f"Return and speed both reach {1 - MARGIN:g} of the experts' (score and speed"
-    " ratio). An expert stands"
-    f" where its speed is below {MARGIN:g} of that of the demonstrator's body; a score of 1 is then"
-    " standing, and the claim cannot be tested by it.",
-    "stable gait": f"The body survives {1 - MARGIN:g} of an episode's steps and moves at"
-    f" {WALKING:g} of the human's speed or more, so that standing still is no gait.",
-    "power": f"The difference found in {100 * statistics.POWER:.0f} % of all studies with as many"
-    " trials as are planned, if the spread is the one seen.",
-}  # fmt: skip
+_DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+RULES = {name: text.format(trials=MIN_TRIALS, margin=MARGIN, most=1 - MARGIN, walking=WALKING,
+                           power=statistics.POWER).replace("%", " %")
+         for name, text in _DATA.pop("rules").items()}  # fmt: skip
 """What the rules of the claims have in common, in words."""
 
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 _COLORS = {HOLDS: "#DDF3E4", FAILS: "#FBE3E0", UNDECIDED: "#F1F1F1"}
+
+_GAP = "SILEM beats SILEM⁻"
 
 Cell = tuple[str, str]
 """A method and a body."""
@@ -59,6 +53,7 @@ _NAMES = {
 _QUANTITIES = {
     "return_mean": ("return", 0), "returns": ("return", 0), "disc_reward": ("reward of D", 0),
     "speed_m_s": ("speed (m/s)", 2), "upright": ("share of steps survived", 2),
+    "steps": ("steps of an episode", 0),
 }  # fmt: skip
 
 
@@ -104,7 +99,7 @@ class Measure:
         words = f"above {low}" if np.isfinite(self.lower) else f"below {high}"
         return f"{self.name} {words}".replace("-", "−")
 
-    def find(self, frame: pd.DataFrame) -> Finding:
+    def find(self, frame: pd.DataFrame) -> "Finding":
         """Read the quantity off a table of runs."""
         samples = [results.values(frame, *cell, self.column) for cell in self.cells]
         counts = {self._label(c): len(v) for c, v in zip(self.cells, samples, strict=True)}
@@ -148,6 +143,11 @@ class Finding:
     of_best: float = float("nan")  # the score against the best expert
 
     @property
+    def enough(self) -> bool:
+        """Whether every cell has its trials."""
+        return min(self.trials.values()) >= MIN_TRIALS
+
+    @property
     def verdict(self) -> tuple[str, str]:
         """The verdict by the module's rule, and why it is undecided if it is."""
         low, high = self.interval
@@ -175,7 +175,7 @@ class Claim:
     measures: tuple[Measure, ...]
     either: bool = False  # it holds where one of the measures passes; else all have to
     printed: float | None = None  # the paper's number; None where it only shows a figure
-    moves: tuple[Cell, Cell] | None = None  # tested where the first moves, by the second's speed
+    moves: tuple[Cell, ...] = ()  # tested where the first moves, by the second's speed
 
     @property
     def text(self) -> str:
@@ -212,7 +212,6 @@ class Claim:
 
     def _standing(self, frame: pd.DataFrame) -> str:
         """Say that the expert stands, if it does."""
-        assert self.moves
         expert, mover = (results.values(frame, *cell, "speed_m_s") for cell in self.moves)
         if len(mover) and expert.mean() >= MARGIN * mover.mean():
             return ""
@@ -225,100 +224,61 @@ class Claim:
         )
 
 
-_RETURN = MARGIN * (paper.number("expert_return") - paper.number("random_return"))
-_REWARD = MARGIN * max(paper.number("disc_reward_range"))
-_HALF_CHEETAHS = ("HC0", "HC1", "HC2")
+_LEVELS = {
+    "most": 1 - MARGIN,
+    "half": WALKING,
+    "survives": (1 - MARGIN) * MAX_STEPS,
+    "return": MARGIN * (paper.number("expert_return") - paper.number("random_return")),
+    "reward": MARGIN * max(paper.number("disc_reward_range")),
+    "gap": MARGIN * paper.number("humanoid_max_return"),
+    "walking": WALKING * DEMONSTRATOR_SPEED_M_S,
+    "fast": (1 - MARGIN) * DEMONSTRATOR_SPEED_M_S,
+}
+"""What bounds are named after; beside them stands a body's slope, "angle"."""
 
 
-def _exceeds(first: Cell, second: Cell, above: float = 0.0, column: str = "return_mean") -> Measure:
-    return Measure(first, column, less=second, lower=above)
+def _claims(study: str) -> tuple[Claim, ...]:
+    """Read a study's claims, body by body."""
+    names = list(dict.fromkeys(cell.body for cell in cells(study)))
+    return tuple(_claim(entry, b) for entry in _DATA[study] for b in entry.get("bodies", names))
 
 
-def _half_cheetahs() -> tuple[Claim, ...]:
-    """Figure 2b, Table 1 and the numbers around it."""
-    text = "Section 5, 'Why does the sequential affine transform ...'"
-    mlp, affine = paper.table("tab1").rows
+def _claim(entry: dict[str, Any], body: str) -> Claim:
+    """Read a claim about one body."""
 
-    def agrees(who: str, where: str, method: str, column: str, printed: float) -> Claim:
-        half = _REWARD if column == "disc_reward" else _RETURN
-        measure = Measure((method, "HC0"), column, lower=printed - half, upper=printed + half)
-        name = "discriminator reward" if column == "disc_reward" else "return"
-        return Claim(f"{who}'s {name} is the paper's", "HC0", where, (measure,), printed=printed)
+    def cell(text: str) -> Cell:
+        method, _, other = text.partition("@")
+        return method, other or body
 
-    def reaches(who: str, method: str, body: str) -> Claim:
-        level = 1 - MARGIN
-        both = [
-            Measure((method, body), column, per=("ppo", body), lower=level)
-            for column in ("return_mean", "speed_m_s")
-        ]
-        moves = ("ppo", body), ("ppo", "HC0")
-        return Claim(f"{who} reaches expert level", body, "Figure 2b", tuple(both), moves=moves)
+    def bound(given: Any, otherwise: float) -> float:
+        factor, level = given if isinstance(given, list) else (1.0, given)
+        if isinstance(level, str):
+            level = math.radians(bodies.get(body).slope_deg) if level == "angle" else _LEVELS[level]
+        return otherwise if level is None else factor * level
 
-    rows = [("SILEM", "silem", affine), ("The MLP", "silem-mlp", mlp)]
-    gap = mlp["discriminator_reward"] - affine["discriminator_reward"]
-    lead = affine["ground_truth_reward"] - mlp["ground_truth_reward"]
-    silem, network = ("silem", "HC0"), ("silem-mlp", "HC0")
-    own, minus = "silem-minus-own", "silem-minus"
-    longer = _HALF_CHEETAHS[1:]
-    return (
-        agrees("The random policy", text, "random", "returns", paper.number("random_return")),
-        agrees("The expert", text, "ppo", "return_mean", paper.number("expert_return")),
-        *(agrees(who, "Table 1", method, "return_mean", printed["ground_truth_reward"])
-          for who, method, printed in rows),
-        *(agrees(who, "Table 1", method, "disc_reward", printed["discriminator_reward"])
-          for who, method, printed in rows),
-        Claim("The MLP fools D as well as the affine transform", "HC0", "Table 1",
-              (_exceeds(network, silem, -_REWARD, "disc_reward"),), printed=gap),
-        Claim("The affine transform leads to the better policy than the MLP", "HC0", "Table 1",
-              (_exceeds(silem, network, _RETURN),), printed=lead),
-        *(reaches("SILEM", "silem", body) for body in _HALF_CHEETAHS),
-        *(Claim("Without the transform imitation degrades, against the body's own expert", body,
-                "Figure 2b", (_exceeds((own, body), (minus, body)),)) for body in longer),
-        *(Claim("SILEM beats SILEM⁻", body, "Figure 2b",
-                (_exceeds(("silem", body), (minus, body)),)) for body in longer),
-        *(reaches("SILEM⁻ from the own expert", own, body) for body in _HALF_CHEETAHS),
+    def measure(column: str, near: str = "", **given: Any) -> Measure:
+        others = {name: cell(given[name]) for name in ("less", "per") if name in given}
+        lower, upper = bound(given.get("lower"), -math.inf), bound(given.get("upper"), math.inf)
+        if near:
+            lower, upper = printed[0] - _LEVELS[near], printed[0] + _LEVELS[near]
+        return Measure(cell(given["of"]), column, lower=lower, upper=upper, **others)
+
+    printed = [_printed(name) for name in entry.get("printed", ())]
+    moves = tuple(map(cell, entry.get("moves", ())))
+    return Claim(
+        entry["title"], body, entry["where"], tuple(measure(**m) for m in entry["measures"]),
+        entry.get("either", False), printed[0] - sum(printed[1:]) if printed else None, moves,
     )  # fmt: skip
 
 
-def _humanoids() -> tuple[Claim, ...]:
-    """Figures 3b, 4a and 4b.
-
-    T acts on the learner's features: a left elbow that stays straighter than the demonstrator's is
-    brought back to it by a lower offset. (Angles grow as an arm straightens.)
-    """
-    gait = "Section 5, 'Can the sequential affine transform ...'"
-    rivals = "Section 5, 'Comparison with TPIL and Peng20'"
-    survives, gap = 1 - MARGIN, MARGIN * paper.number("humanoid_max_return")
-    walks, fast = WALKING * DEMONSTRATOR_SPEED_M_S, (1 - MARGIN) * DEMONSTRATOR_SPEED_M_S
-    everyone, others = ("Atlas", "Humanoid", "HumanoidR"), ("Humanoid", "HumanoidR")
-    bounds = {"silem-minus": 0.0, "tpil": gap, "peng20": gap}
-    arms = ("silem", "HumanoidR")
-    return (
-        *(Claim("SILEM's gait is stable", body, gait,
-                (Measure(("silem", body), "upright", lower=survives),
-                 Measure(("silem", body), "speed_m_s", lower=walks))) for body in everyone),
-        *(Claim("SILEM matches the human's speed", body, "Figure 3, caption",
-                (Measure(("silem", body), "speed_m_s", lower=fast),)) for body in everyone),
-        *(Claim("SILEM⁻ finds no stable gait", body, gait,
-                (Measure(("silem-minus", body), "upright", upper=survives),
-                 Measure(("silem-minus", body), "speed_m_s", upper=walks)), either=True)
-          for body in everyone),
-        *(Claim(f"SILEM {'far outperforms' if bound else 'beats'} {_NAMES[rival]}", body,
-                "Figure 3b", (_exceeds(("silem", body), (rival, body), bound),))
-          for rival, bound in bounds.items() for body in everyone),
-        *(Claim(f"{_NAMES[method]} does much better on Atlas than", body, rivals,
-                (_exceeds((method, "Atlas"), (method, body), gap),))
-          for method in ("peng20", "tpil", "silem-minus") for body in others),
-        Claim("The short left arm's hand position is scaled up", "HumanoidR", "Figure 4a",
-              (Measure(arms, "A left_hand", lower=1.0),)),
-        Claim("The long right arm's hand position is scaled down", "HumanoidR", "Figure 4a",
-              (Measure(arms, "A right_hand", upper=1.0),)),
-        Claim("The left arm keeps the more obtuse angle", "HumanoidR", "Figure 4b",
-              (Measure(arms, "b left_elbow - right_elbow", upper=0.0),)),
-    )  # fmt: skip
+def _printed(name: str) -> float:
+    """Return a number of the paper, or an entry of its Table 1, "MLP.ground_truth_reward"."""
+    row, _, column = name.partition(".")
+    rows = {row["f"]: row for row in paper.table("tab1").rows}
+    return float(rows[row][column] if column else paper.number(row))
 
 
-CLAIMS = {"halfcheetah": _half_cheetahs(), "humanoids": _humanoids()}
+CLAIMS = {study: _claims(study) for study in _DATA}
 """Every claim that is judged so far, by the study whose runs judge it."""
 
 
@@ -364,6 +324,25 @@ def table(frame: pd.DataFrame) -> Styler:
         rows.append(row)
     page = styled(pd.DataFrame(rows))
     return page.map(_color, subset=[column for column in page.columns if column[1] == "verdict"])
+
+
+def gap(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, under which loss of D SILEM's gap over its ablation appears, by `RULES`."""
+    losses = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
+    rows = []
+    for claim in of(results.context(frame)[0]):
+        if claim.title == _GAP:
+            row, appears = {"body": claim.body}, []
+            for name, runs in losses.items():
+                if runs is not None:
+                    (finding,), verdict, _ = claim.judge(runs)
+                    told = _value(finding, results.n_trials(runs), alone=True, trials=True)
+                    row[f"SILEM less SILEM⁻, {name}"] = told
+                    appears.append((name, finding.enough and verdict == HOLDS, finding.enough))
+            where = " and ".join(name for name, holds, _ in appears if holds) or "neither"
+            known = all(enough for *_, enough in appears)
+            rows.append(row | {"the gap appears under": where if known else "open: too few trials"})
+    return pd.DataFrame(rows)
 
 
 def counts(frame: pd.DataFrame) -> dict[str, int]:

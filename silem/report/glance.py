@@ -4,8 +4,6 @@ The box says which claims hold, which do not and which are undecided, and what s
 the film's caption says how many trials do.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +18,7 @@ from silem.util.paths import REPO
 
 STUDIES = {
     "halfcheetah": "HalfCheetah, Figure 2b and Table 1",
+    "ant": "Ants, Figure 2d",
     "humanoids": "Humanoids, Figures 3b, 4a and 4b",
 }
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]

@@ -6,8 +6,6 @@ never checks a type, so a misspelt parameter would silently run the defaults. Th
 therefore calls `parameters`.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import html
@@ -97,11 +95,9 @@ def _conforms(value: Any, allowed: type | Sequence[str]) -> bool:
     """Whether a parameter's value is what the schema allows."""
     if not isinstance(allowed, type):
         return isinstance(value, str) and value in allowed
-    if isinstance(value, bool) or allowed is bool:
-        return isinstance(value, bool) and allowed is bool
     if allowed is float:
-        return isinstance(value, int | float) and math.isfinite(value)
-    return isinstance(value, allowed)
+        return type(value) in (int, float) and math.isfinite(value)
+    return type(value) is allowed
 
 
 def _describe(allowed: type | Sequence[str]) -> str:
@@ -126,16 +122,16 @@ def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> 
 
     Numbers that are not whole get `digits` after the point; with None they stay as they are.
     """
+
+    def written(value: Any) -> str:
+        if isinstance(value, bool | str) or not isinstance(value, Real):
+            return html.escape(str(value))
+        if digits is None or isinstance(value, Integral):
+            return f"{value:,}".replace("-", "−")
+        return style.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
+
     named = frame.reset_index() if frame.index.name else frame
-    return tables.styled(named.map(lambda value: _cell(value, digits)), caption)
-
-
-def _cell(value: Any, digits: int | None) -> str:
-    if isinstance(value, bool | str) or not isinstance(value, Real):
-        return html.escape(str(value))
-    if digits is None or isinstance(value, Integral):
-        return f"{value:,}".replace("-", "−")
-    return style.number(round(float(value), digits) + 0.0, digits)  # never a negative zero
+    return tables.styled(named.map(written), caption)
 
 
 def play(clip: Clip | None, caption: str) -> None:
@@ -229,11 +225,7 @@ def say(**values: float | str | np.ndarray | None) -> None:
     for name, value in values.items():
         if isinstance(value, np.ndarray):
             value = float(value.mean()) if len(value) else None
-        glue(name, value if isinstance(value, str) else _in_words(value), display=False)
-
-
-def _in_words(value: float | None) -> str:
-    """Write a number with as many digits as a sentence needs."""
-    if value is None or math.isnan(value) or abs(value) >= 100 or value == int(value):
-        return style.number(value)
-    return style.number(value, 2)
+        if not isinstance(value, str):
+            whole = value is None or math.isnan(value) or abs(value) >= 100 or value == int(value)
+            value = style.number(value, 0 if whole else 2)
+        glue(name, value, display=False)

@@ -6,9 +6,8 @@ as missing and runs of other settings as set aside; neither is passed over in si
 `frame` is such a table, of one study at one budget, and a cell a method on a body.
 """
 
-from __future__ import annotations
-
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import chain
@@ -19,9 +18,8 @@ import pandas as pd
 from IPython.display import HTML
 
 from silem import bodies
-from silem.motion.features import FEATURES
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
@@ -33,9 +31,9 @@ from silem.util.errors import SilemError, choose
 _KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ["return_mean", "speed_m_s", "upright"]
 COLUMNS = [
-    *_KEYS, "run_id", "command", *_EVALUATED, "disc_reward", "n_iterations", "planned_iterations",
-    "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns",
-    "folder", "expert_return", "normalised",
+    *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations",
+    "planned_iterations", "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit",
+    "dirty", "returns", "folder", "expert_return", "normalised",
 ]  # fmt: skip
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
@@ -45,27 +43,38 @@ PAPER_LOSS = {
 _WITHOUT_D = ("ppo", "random")
 
 
-def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFrame:
+class _Kept(list[Any]):
+    """What a table carries along: pandas copies ``attrs`` deeply in everything that it does."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "_Kept":
+        return self
+
+
+def load_records(
+    study: str = "halfcheetah", budget: str = "book", n_iterations: int = 0, **which: Any
+) -> pd.DataFrame:
     """Load a study's finished runs at one budget, one row per run; SilemError for a broken record.
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
     policy counts once per body, because every evaluation meets the same episodes. The longest run
     that differs from a missing one in its number of iterations alone stands in for it
-    (``stand_in``); `cell` leaves it out.
+    (``stand_in``); `cell` leaves it out. A search, STUDY/BODY/METHOD, is a study too: `which` is
+    what else `study_configs` takes, and `n_iterations`, if not 0, stands for the budget's.
 
     Returns:
         `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
         ``normalised`` its ratio to ``expert_return``, the mean return of the same body's PPO
-        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` is of an
-        episode. ``attrs`` holds ``study``, ``budget``, ``missing`` (what was planned, a list of
-        dicts) and ``set_aside`` (run ids).
+        experts (paper, Figure 2), NaN where that is not above zero; ``disc_reward`` and ``steps``
+        (NaN where a record does not say) are of an episode. ``attrs`` holds ``study``, ``budget``,
+        ``missing`` (what was planned, a list of dicts) and ``set_aside`` (run ids).
     """
     choose("budget", budget, BUDGETS)
-    plans = [plan for plan in study_configs(study, budget) if not _is_copy(plan)]
+    sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]
+    plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
-    for record in _records(study, budget):
+    for record in _records(cells(study)[0].study, budget):
         config = record.run_config()
         if _is_copy(config):
             continue
@@ -74,17 +83,18 @@ def load_records(study: str = "halfcheetah", budget: str = "book") -> pd.DataFra
         else:
             set_aside.append(record.run_id)
     found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
-    found = found.astype({"stand_in": bool, "disc_reward": float, "processor_time_s": float})
+    kinds = {"stand_in": bool} | dict.fromkeys(("disc_reward", "steps", "processor_time_s"), float)
+    found = found.astype(kinds)
     # of each plan the run that was planned, else the longest
     found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
     frame = found.drop_duplicates("plan")
     set_aside += list(found.drop(frame.index)["run_id"])
     frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
     made = set(frame["run_id"])
-    missing = [_keys(plan) for plan in plans if plan.run_id not in made]
+    missing = _Kept(_keys(plan) for plan in plans if plan.run_id not in made)
     frame = _with_scores(frame, study, budget)
     frame.attrs = {"study": study, "budget": budget, "missing": missing}
-    frame.attrs["set_aside"] = sorted(set_aside)
+    frame.attrs["set_aside"] = _Kept(sorted(set_aside))
     return frame
 
 
@@ -101,7 +111,7 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
-    """Yield the valid records of a study at a budget, each once: published ones where both are."""
+    """Yield the valid records in a study's folder at a budget, each once: published ones first."""
     folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
     folders.append(paths.results_dir(study))
     found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
@@ -127,12 +137,16 @@ def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
     return None
 
 
+def _keys(config: RunConfig) -> dict[str, Any]:
+    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
+
+
 def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
     evaluation, source = record.evaluation, record.provenance
-    return {
+    return _keys(config) | {
         "plan": plan.run_id,
-        **_keys(config),
         **{name: evaluation[name] for name in _EVALUATED},
+        "steps": evaluation.get("steps_mean", np.nan),
         "disc_reward": evaluation["disc_reward_mean"],
         "n_iterations": config.budget.n_iterations,
         "planned_iterations": plan.budget.n_iterations,
@@ -145,10 +159,6 @@ def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any
         "returns": tuple(evaluation["returns"]),
         "folder": str(record.folder),
     }
-
-
-def _keys(config: RunConfig) -> dict[str, Any]:
-    return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
@@ -168,8 +178,20 @@ def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
 
 def _order(column: pd.Series) -> pd.Series:
     """Sort bodies by the registry and methods as they are declared, not by the alphabet."""
-    ranks = {"body": bodies.names(), "method": list(METHODS)}.get(str(column.name))
-    return column.map(ranks.index) if ranks else column
+    if column.name == "body":
+        return column.map(_sorted(set(column)).index)
+    return column.map(list(METHODS).index) if column.name == "method" else column
+
+
+def _sorted(names: set[str]) -> list[str]:
+    """Sort bodies as the registry does, then those that their names describe, by their numbers."""
+
+    def numbers(name: str) -> tuple[Any, ...]:
+        body = bodies.get(name)
+        return body.family, body.slope_deg, body.length[1], name
+
+    known = [name for name in bodies.names() if name in names]
+    return known + sorted(names - set(known), key=numbers)
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
@@ -214,21 +236,21 @@ def trace(frame: pd.DataFrame) -> HTML:
 
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
-    where = f"records in data/results/{study}" if BUDGETS[budget].is_evidence else "local runs"
-    missing = frame.attrs["missing"]
-    set_aside = [{"run_id": run_id} for run_id in frame.attrs["set_aside"]]
+    folder = cells(study)[0].study
+    kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
+    where = f"records in data/results/{folder}" if kept else "local runs"
+    missing, aside = frame.attrs["missing"], [{"run_id": n} for n in frame.attrs["set_aside"]]
     folded = {
         f"the runs, and how to rerun each ({where})": frame.to_dict("records"),
         f"planned runs that are not made yet ({len(missing)})": missing,
-        f"runs of other settings or seeds, not shown ({len(set_aside)})": set_aside,
+        f"runs of other settings or seeds, not shown ({len(aside)})": aside,
     }
     page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
     page += web.links(frame) if len(frame) else ""
     for summary, shown in folded.items():
         texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
         codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]
-        items = "".join(f"<li>{code}</li>" for code in codes)
-        if items:
+        if items := "".join(f"<li>{code}</li>" for code in codes):
             page += f"<details><summary>{escape(summary)}</summary><ul>{items}</ul></details>"
     return HTML(f"{page}</div>")
 
@@ -242,20 +264,24 @@ def commits(frame: pd.DataFrame) -> str:
 
 def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
-    study, budget = context(frame)
-    return len(seeds_of(study, BUDGETS[budget]))
+    return len(seeds_of(frame.attrs["study"], BUDGETS[frame.attrs["budget"]]))
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:
     """List the bodies of a table's study in the registry's order, or those selected in theirs."""
-    known = {cell.body for cell in cells(context(frame)[0])}
-    return [name for name in frame.attrs.get("bodies", bodies.names()) if name in known]
+    known = {cell.body for cell in cells(frame.attrs["study"])}
+    return [name for name in frame.attrs.get("bodies", _sorted(known)) if name in known]
 
 
 def original_body(frame: pd.DataFrame) -> str:
     """Return the body whose expert demonstrates to the others, e.g. HC0; "" where a human does."""
     demonstrator = FAMILIES[bodies.get(body_names(frame)[0]).family].original
     return demonstrator if demonstrator in bodies.names() else ""
+
+
+def can_fall(frame: pd.DataFrame) -> bool:
+    """Tell whether episodes of a table's bodies can end early."""
+    return bodies.get(body_names(frame)[0]).can_fall
 
 
 def upright_label(frame: pd.DataFrame) -> str:
@@ -266,7 +292,7 @@ def upright_label(frame: pd.DataFrame) -> str:
 
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     """Tell whether a table's study has a cell, or shares another study's."""
-    planned = {(cell.method, cell.body) for cell in cells(context(frame)[0])}
+    planned = {(cell.method, cell.body) for cell in cells(frame.attrs["study"])}
     return method in frame.attrs.get("shared", ()) or (method, body) in planned
 
 
@@ -282,19 +308,19 @@ def select(
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
     narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
     missing = frame.attrs["missing"]
-    missing = [run for run in missing if run["method"] in methods and run["body"] in shown]
+    missing = _Kept(r for r in missing if r["method"] in methods and r["body"] in shown)
     narrowed.attrs = frame.attrs | {"missing": missing, "bodies": shown}
     return narrowed
 
 
-def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return the rows of one cell, one per trial, no stand-ins."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & ~frame["stand_in"]]
+def cell(frame: pd.DataFrame, method: str, body: str, *, stand_ins: bool = False) -> pd.DataFrame:
+    """Return the rows of one cell, one per trial, or those that stand in for missing ones."""
+    rows = frame["method"].eq(method) & frame["body"].eq(body)
+    return frame[rows & frame["stand_in"].eq(stand_ins)]
 
 
-def stand_ins(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return one cell's runs of another number of iterations, in place of missing ones."""
-    return frame[frame["method"].eq(method) & frame["body"].eq(body) & frame["stand_in"]]
+stand_ins = functools.partial(cell, stand_ins=True)
+"""One cell's runs of another number of iterations, in place of missing ones."""
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
@@ -312,28 +338,27 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     """Return one cell's values of a quantity that a claim is about, one for each trial, (N,).
 
     `quantity` is a column; ``"returns"``, the episodes of a policy that is not trained, which are
-    its replicates; or an entry of a humanoid's T, the mean over the features whose names begin so:
-    ``"A left_hand"``, or a difference, ``"b left_elbow - right_elbow"``.
+    its replicates; or an entry of T, the mean over the features whose names begin so: ``"b pitch"``
+    of a runner, ``"A left_hand"`` of a humanoid, or a difference, ``"b left_elbow - right_elbow"``.
     """
+    from silem.report.transforms import feature_names  # which reads results
+
     found = cell(frame, method, body)
     if quantity == "returns":
         return np.array(found["returns"].iloc[0]) if len(found) else np.empty(0)
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries = [load_transform(run_id)[key] for run_id in found["run_id"]]
+    entries, names = [load_transform(r)[key] for r in found["run_id"]], feature_names(body)
     one, *other = (
-        np.array([entry[[f.name.startswith(part) for f in FEATURES]].mean() for entry in entries])
-        for part in parts.split(" - ")
+        np.array([entry[[name.startswith(part) for name in names]].mean() for entry in entries])
+        for part in parts.replace("_", " ").split(" - ")
     )
     return one - other[0] if other else one
 
 
-def find(run_id: str) -> RunRecord:
-    """Return the record of a finished run; SilemError if there is none."""
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
-    return record
+find = runs.get
+"""The record of a finished run; SilemError if there is none."""
 
 
 def load_curve(run_id: str) -> pd.DataFrame:

@@ -1,23 +1,22 @@
-"""Figures of the trials' scores: Figure 2b with its gaits, Figure 3b, the experts, Table 1 drawn.
+"""Figures of the trials' scores: Figures 2b and 3b, the experts, Table 1 drawn, any trend.
 
 A panel has its bodies along the x axis, 1 apart, and for each a slot per method, left to right: a
 cell of a study, with its trials, their minimum, mean and maximum, and their interval.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
-from itertools import chain, zip_longest
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from silem import bodies, paper
+from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics, style
 from silem.study.settings import BUDGETS, METHODS
@@ -28,7 +27,7 @@ INTERVAL_TRIALS = 5
 
 OTHER_LENGTH = "shorter or longer run"
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
-"""The groups of Figure 2b, in the paper's order."""
+"""The groups of Figures 2b and 2d, in the paper's order."""
 
 COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 """The methods of Figure 3b."""
@@ -36,26 +35,40 @@ COMPARED = ("silem", "silem-minus", "tpil", "peng20")
 # Figure -> methods, bodies (None: all). Experts belong to Figure 2b: they set its scale.
 _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "normalised_scores": (("ppo", *IMITATORS), None),
+    "figure_2d": (("ppo", *IMITATORS, "random"), None),
     "experts": (("ppo", "random"), None),
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
     "by_feature": (("silem",), None),
     "humanoid_scores": (("ppo", *COMPARED), ("Atlas", "Humanoid", "HumanoidR")),
-    "figure_4": (("silem",), ("Humanoid", "HumanoidR")),
 }
 # The figures that mark runs of another number of iterations; the others leave them out.
-_WITH_STAND_INS = ("learning_curves", "humanoid_scores", "figure_4")
+_WITH_STAND_INS = ("learning_curves", "humanoid_scores", "by_feature")
 _MEAN: dict[str, Any] = {"color": style.MUTED, "lw": 1, "ls": style.DASHED}
-_BEST: dict[str, Any] = {"color": style.INK, "lw": 1, "ls": (0, (1, 2))}
 _DOTTED: dict[str, Any] = {"color": style.INK, "lw": 1.5, "ls": (0, (1, 1.5))}
-_LEVEL: dict[str, Any] = {"color": style.MUTED, "lw": 1.2, "ls": style.DASHED}
-_MAX_RETURN = paper.number("humanoid_max_return")
-_HUMANOID_PANELS = {
-    "return_mean": ("True return of an episode: minimum, mean, maximum over trials", _MAX_RETURN),
-    "upright": ("Share of steps survived", 1.0),
-    "speed_m_s": ("Speed (m/s)", DEMONSTRATOR_SPEED_M_S),
+_LEVELS: dict[str, tuple[str, dict[str, Any]]] = {
+    "max": ("the best of them, the demonstrator", {"color": style.INK, "lw": 1, "ls": (0, (1, 2))}),
+    "mean": ("PPO, true reward", {"color": style.MUTED, "lw": 1.2, "ls": style.DASHED}),
 }
-"""Columns of the table, each with its panel's title and the highest value on its scale."""
+_MAX_RETURN = paper.number("humanoid_max_return")
+
+
+class Panel(NamedTuple):
+    """A column of the table as a panel, from 0 to `top` at least.
+
+    `level` is what a line shows of each body's experts, "max" or "mean"; `scale` names their mean
+    return, which then stands under the body; `counts` writes under each cell its number of trials,
+    and `means` each mean, a whole number, above it.
+    """
+
+    column: str
+    title: str
+    methods: Sequence[str]
+    top: float = 1.0
+    level: str = ""
+    scale: str = ""
+    counts: bool = True
+    means: bool = False
 
 
 def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
@@ -72,45 +85,90 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def footer(figure: Figure, frame: pd.DataFrame, note: str = "", *, runs: bool = True) -> None:
-    """Write under a figure which budget and how many runs it shows, and warn of toy budgets."""
+def finish(
+    figure: Figure,
+    frame: pd.DataFrame,
+    handles: Sequence[Line2D] = (),
+    note: str = "",
+    ncols: int = 3,
+    *,
+    runs: bool = True,
+) -> Figure:
+    """Put a legend above a figure; under it budget and runs shown, a warning of toy budgets."""
     budget = results.context(frame)[1]
-    shown = results.describe(frame) if runs else f"budget {budget}"
-    text = "; ".join(part for part in (shown, note) if part)
-    evidence = BUDGETS[budget].is_evidence
-    style.footer(figure, text if evidence else f"not evidence: {text}", warn=not evidence)
+    shown, evidence = f"budget {budget}", BUDGETS[budget].is_evidence
+    text = "; ".join(part for part in (results.describe(frame) if runs else shown, note) if part)
+    text = text if evidence else f"not evidence: {text}"
+    return style.finish(figure, handles, text, ncols, warn=not evidence)
+
+
+def methods_of(frame: pd.DataFrame, methods: Iterable[str]) -> list[Line2D]:
+    """Return the legend's entries of methods, each with its marker."""
+    return style.marks(style.method(name, results.original_body(frame)) for name in methods)
+
+
+def by_body(
+    frame: pd.DataFrame, panels: Sequence[Panel], height_in: float = 3.9, **layout: Any
+) -> tuple[Figure, list[Axes], list[Line2D]]:
+    """Draw columns of a table, every cell with its trials: a panel each, rows if many bodies.
+
+    `layout` is a mosaic of the columns (`Figure.subplot_mosaic`) in place of that. Handles of the
+    levels that were drawn, the paper's numbers among them, are returned last.
+    """
+    names, columns = results.body_names(frame), [panel.column for panel in panels]
+    wide, handles = len(names) > 4, {}
+    layout.setdefault("mosaic", [[name] for name in columns] if wide else [columns])
+    height_in *= len(columns) if wide else 1
+    figure = Figure((style.WIDTH_IN, height_in), layout="constrained")
+    grid = figure.subplot_mosaic(**layout)
+    for axes, panel in ((grid[panel.column], panel) for panel in panels):
+        axes.set_title(panel.title)
+        _body_ticks(axes, frame, panel.scale)
+        draw_cells(axes, frame, panel)
+        label, look = _LEVELS.get(panel.level, ("", {}))
+        for index, body in enumerate(names if panel.level else ()):
+            if len(values := results.scores(frame, "ppo", body, panel.column)):
+                at = [getattr(values, panel.level)()] * 2
+                axes.plot([index - 0.44, index + 0.44], at, zorder=1.8, **look)
+                handles[label] = style.handle(label=label, **look)
+        if panel.column in ("return_mean", "steps"):
+            axes.yaxis.set_major_formatter("{x:,.0f}")
+        if panel.column == "return_mean":
+            if label := _paper_marks(axes, names):
+                handles[label] = style.handle(style.PAPER, label, lw=2)
+        low, high = axes.get_ylim()
+        low, high = min(low, 0.0), max(high, 1.05 * panel.top)
+        room = (0.18 if panel.means else 0.12) if panel.counts else 0.04  # for what is written
+        axes.set_ylim(low - room * (high - low), high + 0.02 * (high - low))
+        # A fixed number of ticks: else the layout changes them, and with them the labels' width.
+        axes.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
+    return figure, [grid[name] for name in columns], list(handles.values())
 
 
 @style.applied()
 def normalised_scores(frame: pd.DataFrame) -> Figure:
-    """Draw Figure 2b, and whether a score is a gait.
+    """Draw Figure 2b or, with the steps before a fall, 2d, and whether a score is a gait.
 
-    Left, as in the paper, the normalised scores, right the forward speed of the same trials and of
+    First, as in the paper, the normalised scores, then the forward speed of the same trials and of
     the experts: where the expert only stands, a score of 1 is standing.
     """
-    frame = runs_of("normalised_scores", frame)
-    everyone, level = [*IMITATORS, "ppo"], paper.number("expert_level")
-    figure, (left, right) = style.new_figure(3.9, ncols=2)
-    left.set(title="Score: minimum, mean, maximum over trials")
-    right.set(title="Forward speed (m/s)")
-    left.axhline(level, **_MEAN)
-    for index, body in enumerate(results.body_names(frame)):
-        best = results.scores(frame, "ppo", body).max(initial=level)
-        if best > level:
-            left.plot([index - 0.44, index + 0.44], [best, best], **_BEST)
-    _body_ticks(left, frame, scale="experts")
-    _body_ticks(right, frame)
-    panels = (left, "normalised", IMITATORS), (right, "speed_m_s", everyone)
-    for axes, column, shown in panels:
-        _draw_cells(axes, frame, shown, column, counts=True)
-        _room_for_counts(axes, 0.0, 1.05)
-    original = results.original_body(frame)
-    handles = style.marks(style.method(method, original) for method in everyone)
-    handles.append(style.handle(label="mean of the body's experts", **_MEAN))
-    handles.append(style.handle(label="the best of them, the demonstrator", **_BEST))
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    footer(figure, frame, _interval_note(frame, everyone, "speed_m_s"))
-    return figure
+    falls = results.can_fall(frame)
+    frame, low = runs_of("figure_2d" if falls else "normalised_scores", frame), ("random",) * falls
+    score, everyone = "Score: minimum, mean, maximum over trials", (*IMITATORS, "ppo", *low)
+    shown = [
+        Panel("normalised", score, (*IMITATORS, *low), level="max", scale="experts"),
+        Panel("speed_m_s", "Forward speed (m/s)", everyone),
+        Panel("steps", f"Steps of an episode, at most {MAX_STEPS:,}", everyone, MAX_STEPS),
+    ]
+    shown = [panel._replace(counts=not falls) for panel in shown[: 3 if falls else 2]]
+    figure, grid, levels = by_body(frame, shown, 2.4 if falls else 3.9)
+    grid[0].axhline(paper.number("expert_level"), **_MEAN)
+    mean = style.handle(label="mean of the body's experts", **_MEAN)
+    note = interval_note(frame, everyone, "speed_m_s")
+    if falls:
+        counts = [len(results.cell(frame, m, b)) for _, m, b in _places(frame, everyone[:-1])]
+        note = f"trials of a cell: {min(counts)} to {max(counts)}; {note}"
+    return finish(figure, frame, [*methods_of(frame, everyone), mean, *levels], note)
 
 
 @style.applied()
@@ -118,73 +176,39 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     """Draw Figure 3b: the true return of SILEM, SILEM⁻, TPIL and Peng20 on every humanoid.
 
     Above as in the paper the walking reward, not normalised, at most 1000. Below what that number
-    hides: how much of an episode passes before the body falls, and how fast it moves. Dashed levels
-    are PPO on the true reward.
+    hides: how much of an episode passes before the body falls, and how fast it moves.
     """
-    frame = runs_of("humanoid_scores", frame)
-    figure = Figure(figsize=(style.WIDTH_IN, 5.6), layout="constrained")
-    rows: list[Any] = [["return_mean", "return_mean"], ["upright", "speed_m_s"]]
-    panels = figure.subplot_mosaic(rows, height_ratios=[1.4, 1])
-    for column, (title, top) in _HUMANOID_PANELS.items():
-        axes, first = panels[column], column == "return_mean"
-        axes.set_title(title)
-        _body_ticks(axes, frame, scale="PPO" if first else "")
-        for index, body in enumerate(results.body_names(frame)):
-            values = results.scores(frame, "ppo", body, column)
-            if len(values) and values.mean() <= 1.05 * top:
-                axes.plot([index - 0.44, index + 0.44], [values.mean()] * 2, zorder=1.8, **_LEVEL)
-        _draw_cells(axes, frame, COMPARED, column, counts=first, means=first)
-        _room_for_counts(axes, 0.0, 1.04 * top, 0.18 if first else 0.04)
-        if not first:
-            axes.tick_params(axis="x", labelsize=8)
-    panels["return_mean"].axhline(_MAX_RETURN, color=style.PAPER, lw=1.5, zorder=1.5)
-    panels["return_mean"].yaxis.set_major_formatter("{x:,.0f}")
-    panels["speed_m_s"].axhline(DEMONSTRATOR_SPEED_M_S, **_DOTTED)
-    original = results.original_body(frame)
-    methods = style.marks(style.method(method, original) for method in COMPARED)
-    levels = [
-        style.handle(label=style.method("ppo", original).label, **_LEVEL),
-        style.handle(style.PAPER, "highest possible return", lw=1.5),
-        style.handle(label=f"demonstrator, {DEMONSTRATOR_SPEED_M_S:g} m/s", **_DOTTED),
+    frame, speed = runs_of("humanoid_scores", frame), DEMONSTRATOR_SPEED_M_S
+    title = "True return of an episode: minimum, mean, maximum over trials"
+    shown = [
+        Panel("return_mean", title, COMPARED, _MAX_RETURN, "mean", scale="PPO", means=True),
+        Panel("upright", "Share of steps survived", COMPARED, level="mean", counts=False),
+        Panel("speed_m_s", "Speed (m/s)", COMPARED, speed, "mean", counts=False),
     ]
-    note = _interval_note(frame, COMPARED, "return_mean")
+    mosaic = [["return_mean"] * 2, ["upright", "speed_m_s"]]
+    figure, grid, levels = by_body(frame, shown, 5.6, mosaic=mosaic, height_ratios=[1.4, 1])
+    grid[2].axhline(speed, **_DOTTED)
+    levels.append(style.handle(label=f"demonstrator, {speed:g} m/s", **_DOTTED))
+    note = interval_note(frame, COMPARED, "return_mean")
     if frame["stand_in"].any():
         levels.append(style.handle(style.MUTED, OTHER_LENGTH, ls="none", marker="x", mew=1.8))
         note += "; ×: a run of another number of iterations, written below it; outside every mean"
-    # a legend fills its columns first
-    handles = [h for h in chain.from_iterable(zip_longest(methods, levels)) if h is not None]
-    figure.legend(handles=handles, loc="outside upper left", ncols=4)
-    footer(figure, frame, note)
-    return figure
+    return finish(figure, frame, methods_of(frame, COMPARED) + levels, note, ncols=4)
 
 
 @style.applied()
 def experts(frame: pd.DataFrame) -> Figure:
     """Draw the experts beside the random policy, and in amber the paper's own numbers."""
-    frame = runs_of("experts", frame)
-    methods = ("ppo", "random")
+    frame, methods = runs_of("experts", frame), ("ppo", "random")
     titles = {
         "return_mean": "Return of an episode",
         "speed_m_s": "Forward speed (m/s)",
         "upright": results.upright_label(frame).capitalize(),
     }
-    figure, panels = style.new_figure(3.1, ncols=3)
-    for axes, (column, title) in zip(panels, titles.items(), strict=True):
-        axes.set(title=title)
-        _body_ticks(axes, frame)
-        axes.tick_params(axis="x", labelsize=8)
-        _draw_cells(axes, frame, methods, column)
-        axes.margins(y=0.12)
-        axes.update_datalim([(0.0, 0.0), (0.0, 1.0)])  # no zooming in on a lone run
-        axes.autoscale_view(scalex=False)
-    _returns_axis(panels[0])
-    panels[2].set_ylim(-0.04, 1.08)
-    handles = style.marks(style.method(m, results.original_body(frame)) for m in methods)
-    if label := _paper_marks(panels[0], results.body_names(frame)):
-        handles.append(style.handle(style.PAPER, label, lw=2))
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    footer(figure, frame, _interval_note(frame, methods[:1], "return_mean"))
-    return figure
+    shown = [Panel(name, title, methods, counts=False) for name, title in titles.items()]
+    figure, _, levels = by_body(frame, shown, 3.1)
+    note = interval_note(frame, methods[:1], "return_mean")
+    return finish(figure, frame, methods_of(frame, methods) + levels, note)
 
 
 @style.applied()
@@ -218,60 +242,67 @@ def affine_or_mlp(frame: pd.DataFrame) -> Figure:
     low, high = paper.number("disc_reward_range")
     axes.set_xlim(low - 20, high + 20)
     axes.margins(y=0.12)
-    _returns_axis(axes)
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    footer(figure, frame)
-    return figure
+    axes.yaxis.set_major_formatter("{x:,.0f}")
+    return finish(figure, frame, handles)
 
 
-def _draw_cells(
-    axes: Axes,
+@style.applied()
+def against(
     frame: pd.DataFrame,
+    x: str | Mapping[str, float],
+    label: str,
+    columns: Mapping[str, str],
     methods: Sequence[str],
-    column: str,
-    *,
-    counts: bool = False,
-    means: bool = False,
-) -> None:
-    """Draw a column of the table, every cell of a panel.
+) -> Figure:
+    """Draw columns of a table, by title, against a number of each run: a line for each method.
 
-    A cell without values is an empty slot with the reason. Runs of another number of iterations
-    than planned are crosses in either case. `counts` writes under each cell its number of trials,
-    and the iterations of its crosses; `means` each mean, a whole number, above it.
+    `x` is the column of that number, or maps bodies to it: a torso's length in m, for instance.
     """
-    small: dict[str, Any] = {"ha": "center", "fontsize": 7 if len(methods) > 3 else 7.5}
+    places = frame["body"].map(x) if isinstance(x, Mapping) else frame[x]
+    figure, grid = style.panels(columns.values(), 2.8, sharex=True)
+    for axes, column in zip(grid, columns, strict=True):
+        axes.set_xlabel(label)
+        for method in methods:
+            known = frame[(frame["method"] == method) & ~frame["stand_in"]].dropna(subset=column)
+            groups = known.groupby(places[known.index])[column]
+            for place, values in groups:
+                draw_trials(axes, place, values.to_numpy(), method)
+            axes.plot(groups.mean(), color=style.method(method).color, lw=1.4)
+        if not axes.lines:
+            style.say(axes, "no run")
+    return finish(figure, frame, methods_of(frame, methods), "lines: means over trials")
+
+
+def draw_cells(axes: Axes, frame: pd.DataFrame, panel: Panel) -> None:
+    """Draw every cell of a panel; one without values is an empty slot with the reason.
+
+    Runs of another number of iterations than planned are crosses in either case.
+    """
+    small: dict[str, Any] = {"ha": "center", "fontsize": 7 if len(panel.methods) > 3 else 7.5}
     plate: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.7}
-    for x, method, body in _places(frame, methods):
-        values = results.scores(frame, method, body, column)
-        others = results.stand_ins(frame, method, body).dropna(subset=column)
-        color = style.method(method).color
+    for x, method, body in _places(frame, panel.methods):
+        values = results.scores(frame, method, body, panel.column)
+        others = results.stand_ins(frame, method, body).dropna(subset=panel.column)
         if len(values):
-            _draw_trials(axes, x, values, method)
+            draw_trials(axes, x, values, method)
         elif others.empty:
             style.empty_slot(axes, x, _reason(frame, method, body))
-        crosses: dict[str, Any] = {"color": color, "ms": 6.5, "mew": 1.8, "zorder": 5}
-        axes.plot(np.full(len(others), x), others[column], "x", **crosses)
+        crosses: dict[str, Any] = {"ms": 6.5, "mew": 1.8, "zorder": 5}
+        crosses["color"] = style.method(method).color
+        axes.plot(np.full(len(others), x), others[panel.column], "x", **crosses)
         lines = [f"n={len(values)}"] if len(values) else []
         if lengths := sorted(others["n_iterations"].unique()):
             lines.append("× " + ", ".join(f"{n:,}" for n in lengths))
-        if counts and lines:
+        if panel.counts and lines:
             place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
             axes.text(x, 0.025, "\n".join(lines), bbox=plate, **place, **small)
-        if means and len(values):
+        if panel.means and len(values):
             above: dict[str, Any] = {"xytext": (0, 6), "textcoords": "offset points"}
             above |= small | {"color": style.INK, "bbox": plate | {"alpha": 0.8}}
             axes.annotate(style.number(values.mean()), (x, values.max()), **above)
 
 
-def _places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
-    """Yield every cell's place on the x axis, its method and its body."""
-    width = 0.81 / len(methods)
-    for body_index, body in enumerate(results.body_names(frame)):
-        for index, method in enumerate(methods):
-            yield body_index + (index - (len(methods) - 1) / 2) * width, method, body
-
-
-def _draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
+def draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
     """Draw minimum, mean and maximum over trials, and the trials; hollow for a single one.
 
     From `INTERVAL_TRIALS` on a pale bar behind them is Student's 95 % t interval of the mean.
@@ -282,9 +313,7 @@ def _draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
         axes.plot([x, x], interval, color=look.color, lw=7, alpha=0.3, solid_capstyle="butt")
     if len(values) > 1:
         ends = values.min(), values.max()
-        axes.plot([x, x], ends, color=look.color, lw=1.6)
-        for end in ends:
-            axes.plot([x - 0.045, x + 0.045], [end, end], color=look.color, lw=1.6)
+        axes.plot([x, x], ends, marker="_", color=look.color, lw=1.6, ms=5, mew=1.6)
         beside = axes.transData + ScaledTranslation(0.1, 0, axes.figure.dpi_scale_trans)
         dots: dict[str, Any] = {"ms": 3, "color": look.color, "alpha": 0.6, "mec": "none"}
         axes.plot(np.full(len(values), x), values, "o", transform=beside, **dots)
@@ -292,6 +321,14 @@ def _draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
     if len(values) == 1 and method != "random":  # which is not trained
         mark = {"mfc": "white", "mec": look.color, "mew": 1.6}
     axes.plot([x], [values.mean()], look.marker, color=look.color, ms=7.5, zorder=5, **mark)
+
+
+def _places(frame: pd.DataFrame, methods: Sequence[str]) -> Iterator[tuple[float, str, str]]:
+    """Yield every cell's place on the x axis, its method and its body."""
+    width = 0.81 / len(methods)
+    for body_index, body in enumerate(results.body_names(frame)):
+        for index, method in enumerate(methods):
+            yield body_index + (index - (len(methods) - 1) / 2) * width, method, body
 
 
 def _reason(frame: pd.DataFrame, method: str, body: str) -> str:
@@ -302,7 +339,7 @@ def _reason(frame: pd.DataFrame, method: str, body: str) -> str:
     return "no expert" if rows["expert_return"].isna().all() else "expert's return ≤ 0"
 
 
-def _interval_note(frame: pd.DataFrame, methods: Sequence[str], column: str) -> str:
+def interval_note(frame: pd.DataFrame, methods: Sequence[str], column: str) -> str:
     """Say what the marks and bars are, and what the intervals are worth, by simulation."""
     counts = [len(results.scores(frame, m, b, column)) for _, m, b in _places(frame, methods)]
     note = ["hollow: one trial"] if 1 in counts else []
@@ -320,7 +357,7 @@ def _interval_note(frame: pd.DataFrame, methods: Sequence[str], column: str) -> 
     return "; ".join(note)
 
 
-def _body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
+def _body_ticks(axes: Axes, frame: pd.DataFrame, scale: str) -> None:
     """Name each body under the axis, and where PPO's return has a name, `scale`, that return."""
     names = results.body_names(frame)
     labels = []
@@ -330,19 +367,10 @@ def _body_ticks(axes: Axes, frame: pd.DataFrame, *, scale: str = "") -> None:
         labels.append(f"{body}\n{level}" if scale else body)
     axes.set_xticks(range(len(names)), labels)
     axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.tick_params(axis="x", length=0)
+    axes.tick_params(axis="x", length=0, labelsize=8)
 
 
-def _room_for_counts(axes: Axes, lowest: float, highest: float, share: float = 0.12) -> None:
-    """Show at least `lowest` to `highest`, and leave room below for the numbers of trials."""
-    low, high = axes.get_ylim()
-    low, high = min(low, lowest), max(high, highest)
-    axes.set_ylim(low - share * (high - low), high + 0.02 * (high - low))
-    # A fixed number of ticks: else the layout changes them, and with them the labels' width.
-    axes.yaxis.set_major_locator(MaxNLocator(7))
-
-
-def _paper_marks(axes: Axes, names: list[str]) -> str:
+def _paper_marks(axes: Axes, names: Sequence[str]) -> str:
     """Mark the returns that the paper gives for a study's bodies; return what to call them."""
     look: dict[str, Any] = {"color": style.PAPER, "lw": 2, "zorder": 1.5}
     if "HC0" in names:
@@ -354,8 +382,3 @@ def _paper_marks(axes: Axes, names: list[str]) -> str:
         axes.axhline(_MAX_RETURN, **look)
         return "highest possible return"
     return ""
-
-
-def _returns_axis(axes: Axes) -> None:
-    axes.yaxis.set_major_formatter("{x:,.0f}")
-    axes.yaxis.set_major_locator(MaxNLocator(6))

@@ -8,8 +8,6 @@ A page that names a number takes it from where the code takes it, so that the tw
 - ``{settings}`` and ``{budgets}``: this project's hyper-parameters and budgets as tables.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -91,33 +89,27 @@ def paper_table(key: str = "") -> Table:
     def code(name: str | None) -> str:
         return f"`{name}`" if name else ""
 
+    def heading(column: str) -> str:
+        """Write a symbol as a formula, in tables of results alone if one letter."""
+        if table.kind == "best":
+            return known[column].latex if column in known else column.capitalize()
+        return column.replace("_", " ") if len(column) > 1 else f"${column}$"
+
     if table.kind == "common":
         head = ["Hyper-parameter", "Value", "Name here"]
         rows = [[r["meaning"], as_text(r["value"]), code(r["parameter"])] for r in table.rows]
     elif table.kind == "grid":
         head = ["Symbol", "Hyper-parameter", "Values", "Name here"]
-        rows = [
-            [
-                known[row["symbol"]].latex,
-                f"**{row['meaning']}**" if row.get("silem_only") else row["meaning"],
-                as_text(row["values"]),
-                code(known[row["symbol"]].parameter),
-            ]
-            for row in table.rows
-        ]
+        rows = []
+        for row in table.rows:
+            symbol, star = known[row["symbol"]], "**" * bool(row.get("silem_only"))
+            about = f"{star}{row['meaning']}{star}", as_text(row["values"])
+            rows.append([symbol.latex, *about, code(symbol.parameter)])
     else:
-        head = [_heading(table.kind, column) for column in table.columns]
+        head = [heading(column) for column in table.columns]
         rows = [[as_text(row[column]) for column in table.columns] for row in table.rows]
     caption = f"{table.caption} ({table.source}, Table {table.number}) {table.note or ''}"
     return Table(f"paper-{table.key.replace('.', '-')}", caption.strip(), head, rows)
-
-
-def _heading(kind: str, column: str) -> str:
-    """Write a column's name: a symbol as a formula, in tables of results alone if one letter."""
-    if kind == "best":
-        known = paper.symbols()
-        return known[column].latex if column in known else column.capitalize()
-    return column.replace("_", " ") if len(column) > 1 else f"${column}$"
 
 
 def settings() -> Table:

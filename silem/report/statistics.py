@@ -4,8 +4,6 @@ A trial is one independently trained run, the unit of replication; episodes of o
 Scores of a cell have shape (N,).
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -53,12 +51,46 @@ def _error(*cells: np.ndarray, n_trials: int | None = None) -> tuple[float, floa
     return variance**0.5, freedom
 
 
+def rank_correlation(x: ArrayLike, y: ArrayLike) -> tuple[float, float, float]:
+    """Return Spearman's correlation of N pairs with the ends of its 95 % interval.
+
+    The interval is Fisher's, with the variance of Bonett and Wright (2000); it takes four pairs.
+    """
+    rho, n = float(stats.spearmanr(x, y).statistic), len(np.asarray(x))
+    half = stats.norm.ppf((1 + LEVEL) / 2) * ((1 + rho**2 / 2) / (n - 3)) ** 0.5
+    low, high = np.tanh(np.arctanh(np.clip(rho, -1 + 1e-9, 1 - 1e-9)) + np.array([-half, half]))
+    return rho, float(low), float(high)
+
+
 def wins(first: ArrayLike, second: ArrayLike) -> float:
     """Return the share of pairs in which `first` beats `second`, half for a tie; NaN for none."""
     one, two = np.asarray(first), np.asarray(second)
     if min(len(one), len(two)) == 0:
         return float("nan")
     return float(stats.mannwhitneyu(one, two).statistic) / (len(one) * len(two))
+
+
+def wins_interval(first: ArrayLike, second: ArrayLike) -> Interval:
+    """Return Newcombe's 95 % score interval of how probably `first` beats `second`.
+
+    It is method 5 of Newcombe (2006): the share is held against Hanley and McNeil's variance at
+    each probability, so that it has a width however few the trials, all won or not. NaN for none.
+    """
+    n_first, n_second = len(np.asarray(first)), len(np.asarray(second))
+    if not n_first * n_second:
+        return NO_INTERVAL
+    share, more = wins(first, second), (n_first + n_second) / 2 - 1
+    quantile = float(stats.norm.ppf((1 + LEVEL) / 2))
+
+    def beyond(true: float) -> float:
+        spread = 1 + more * ((1 - true) / (2 - true) + true / (1 + true))
+        variance = true * (1 - true) * spread / (n_first * n_second)
+        return float((share - true) ** 2 - quantile**2 * variance)
+
+    edge = 1e-9  # at 0 and 1 there is no variance
+    low = optimize.brentq(beyond, 0, share - edge) if share > 0 else 0.0
+    high = optimize.brentq(beyond, share + edge, 1) if share < 1 else 1.0
+    return float(low), float(high)
 
 
 def detectable(*cells: ArrayLike, n_trials: int) -> float:

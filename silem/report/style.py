@@ -5,14 +5,11 @@ behind. The colours are Okabe and Ito's, which stay apart under the common colou
 markers repeat what colour says.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -22,7 +19,6 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from silem.util import files
 from silem.util.errors import choose
 
 WIDTH_IN = 7.6
@@ -134,6 +130,42 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN, **subplots: Any) ->
     return figure, figure.subplots(**subplots)
 
 
+def panels(
+    titles: Iterable[str], row_in: float, n_columns: int = 2, **subplots: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a panel for each title, in rows of some inches (small multiples)."""
+    named = list(titles)
+    n_columns = min(n_columns, len(named))
+    size: dict[str, Any] = {"nrows": -(-len(named) // n_columns), "ncols": n_columns}
+    figure, grid = new_figure(row_in * size["nrows"] + 0.4, squeeze=False, **size, **subplots)
+    for axes, title in zip(grid.flat, named, strict=False):
+        axes.set_title(title)
+    for axes in list(grid.flat)[len(named) :]:
+        axes.set_axis_off()
+    for axes in list(grid.flat)[max(0, len(named) - n_columns) : len(named)]:
+        axes.tick_params(labelbottom=True)
+    return figure, list(grid.flat)[: len(named)]
+
+
+def finish(
+    figure: Figure,
+    handles: Sequence[Any] = (),
+    note: str = "",
+    ncols: int = 3,
+    *,
+    warn: bool = False,
+) -> Figure:
+    """Put a legend, read by rows, above a figure and small print under it, in red to warn."""
+    if handles:
+        by_rows = [h for column in range(ncols) for h in handles[column::ncols]]
+        figure.legend(handles=by_rows, loc="outside upper left", ncols=ncols)
+    if note:
+        lines = textwrap.fill(note, int(_CHARACTERS_PER_IN * figure.get_figwidth()))
+        look: dict[str, Any] = {"color": WARNING if warn else MUTED, "linespacing": 1.4}
+        figure.supxlabel(lines, x=0.01, ha="left", fontsize=8, **look)
+    return figure
+
+
 def handle(color: str, label: str, **look: Any) -> Line2D:
     """Return an entry of a legend."""
     return Line2D([], [], color=color, label=label, **look)
@@ -146,9 +178,19 @@ def marks(looks: Iterable[MethodStyle], ms: float = 8) -> list[Line2D]:
 
 
 def say(axes: Axes, word: str) -> None:
-    """Write a word in the middle of an empty panel."""
+    """Write a word in the middle of an empty panel, which has no scale then."""
     middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
     axes.text(0.5, 0.5, word, color=MUTED, backgroundcolor="white", **middle)
+
+
+def no_scales_without_lines(grid: Any) -> None:
+    """Take the scales off rows and columns of panels, which share them, where nothing is drawn."""
+    for row in grid:
+        if not any(axes.lines for axes in row):
+            row[0].set_yticks([])
+    for column in zip(*grid, strict=True):
+        if not any(axes.lines for axes in column):
+            column[-1].set_xticks([])
 
 
 def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
@@ -157,13 +199,6 @@ def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
     axes.plot([x, x], [0.18, 0.94], color=FAINT, lw=1, ls=(0, (2, 3)), **place)
     place |= {"rotation": 90, "ha": "center", "va": "center", "fontsize": 8, "color": MUTED}
     axes.text(x, 0.56, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2}, **place)
-
-
-def footer(figure: Figure, text: str, *, warn: bool = False) -> None:
-    """Write what a figure shows (budget, runs) under it, in small print; in red to warn."""
-    lines = textwrap.fill(text, int(_CHARACTERS_PER_IN * figure.get_figwidth()))
-    color = WARNING if warn else MUTED
-    figure.supxlabel(lines, x=0.01, ha="left", fontsize=8, color=color, linespacing=1.4)
 
 
 def number(value: float | None, digits: int = 0) -> str:
@@ -179,20 +214,7 @@ def trials(count: int) -> str:
 
 
 def svg(figure: Figure) -> str:
-    """Return a figure as SVG text; the same figure always gives the same text."""
-    stream = io.StringIO()
-    _name_ghosts(figure)
-    with applied():
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    # The XML prologue is of no use inside a page.
-    text = re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
-    if f'id="{GHOST}' in text:
-        text = re.sub(r"<svg ([^>]*)>", rf'<svg id="{WITHOUT_GHOSTS}" \1>{_HIDING}', text, count=1)
-    return text
-
-
-def _name_ghosts(figure: Figure) -> None:
-    """Name what is drawn of the paper's own numbers, and what stands for it in a legend."""
+    """Return a figure as SVG text, the paper's own numbers named; same figure, same text."""
     for line in figure.findobj(Line2D):
         if line.get_color() == PAPER:
             line.set_gid(GHOST)
@@ -200,8 +222,11 @@ def _name_ghosts(figure: Figure) -> None:
         for mark, label in zip(legend.legend_handles, legend.get_texts(), strict=True):
             if mark is not None and mark.get_gid() == GHOST:
                 label.set_gid(GHOST)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure atomically as SVG."""
-    files.write_text(path, svg(figure))
+    stream = io.StringIO()
+    with applied():
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    # The XML prologue is of no use inside a page.
+    text = re.sub(r"^.*?(?=<svg)", "", stream.getvalue(), count=1, flags=re.DOTALL)
+    if f'id="{GHOST}' in text:
+        text = re.sub(r"<svg ([^>]*)>", rf'<svg id="{WITHOUT_GHOSTS}" \1>{_HIDING}', text, count=1)
+    return text

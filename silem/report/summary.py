@@ -4,6 +4,7 @@ Everything on the pages "What this book cost" and "For reviewers" that can be co
 here, from the committed records and the demonstrations' manifest, when the book is built:
 
 - ``{cost}``, ``{cost-per-run}``, ``{processors}`` and ``{verdicts}`` are tables;
+- ``{results-figure}`` is one of `FIGURES`, of a study, with what stands under a figure of results;
 - ``{data-cards}`` has one card for each file of demonstrations;
 - ``{counted}`hours` `` is one of `counts`.
 """
@@ -11,30 +12,32 @@ here, from the committed records and the demonstrations' manifest, when the book
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from docutils import nodes
 from docutils.statemachine import StringList
+from matplotlib.figure import Figure
+from scipy import stats
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from silem import bodies
+from silem import bodies, paper
 from silem.motion.demonstrations import MANIFEST
-from silem.report import claims, results, style
+from silem.report import claims, curves, results, scores, statistics, style
 from silem.report.sphinxext import TABLES, Table, TableDirective, role
 from silem.report.style import DASH, number
 from silem.report.web import records
 from silem.study.config import RunConfig
 from silem.study.record import RECORD, git
+from silem.study.settings import METHODS
 from silem.study.studies import STUDIES, study_configs
 from silem.util import files, paths
 from silem.util.errors import choose
-
-JUDGED = ("halfcheetah", "humanoids")
-"""The studies that the paper's claims are about."""
 
 _COLUMNS = ("run_id", "study", "family", "cell", "method", "steps", "hours", "processor_hours",
             "speed", "processor", "date")  # fmt: skip
@@ -101,7 +104,7 @@ def hours_left(frame: pd.DataFrame) -> float:
 def cost() -> Table:
     """Return, for each study: runs, trials of a cell, steps, hours and dates."""
     found, plans, rows = costs(), planned(), []
-    for study in STUDIES:
+    for study in dict.fromkeys([*STUDIES, *found["study"]]):  # searches after the studies
         made, wanted = (frame[frame["study"] == study] for frame in (found, plans))
         missing = int(wanted["hours"].isna().sum())
         rows.append(
@@ -177,7 +180,7 @@ def _published() -> dict[str, str]:
 @cache
 def judged() -> pd.DataFrame:
     """Return every claim with what this book's runs say, of all studies that are judged."""
-    frames = {study: results.load_records(study, "book") for study in JUDGED}
+    frames = {study: results.load_records(study, "book") for study in claims.CLAIMS}
     return pd.concat(
         [
             claims.evaluate(frame).assign(study=study, planned=results.n_trials(frame))
@@ -190,8 +193,13 @@ def judged() -> pd.DataFrame:
 def verdicts() -> Table:
     """Return the claims in short, a row for each that is made of several bodies."""
     grouped: dict[str, list[str]] = {}
+    waiting: dict[str, list[str]] = {}
     for row in judged().itertuples():
         claim, finding = row.claim, row.findings[0]
+        texts = grouped.setdefault(claim.title, [])
+        if np.isnan(finding.ours):
+            waiting.setdefault(claim.title, []).append(claim.body)
+            continue
         digits = claim.measures[0].digits
         ours = f"{finding.measure.name} {number(finding.ours, digits)}"
         if np.isfinite(finding.interval).all():
@@ -202,8 +210,9 @@ def verdicts() -> Table:
         if not np.isnan(finding.detectable):
             power = number(finding.detectable, digits)
             trials += f"; {row.planned} would find a difference of {power}"
-        text = f"**{claim.body} {row.verdict}:** {ours} ({trials})"
-        grouped.setdefault(claim.title, []).append(text)
+        texts.append(f"**{claim.body} {row.verdict}:** {ours} ({trials})")
+    for title, names in waiting.items():
+        grouped[title].append(f"**undecided, no value yet:** {', '.join(names)}")
     rows = [(title, "<br>".join(texts)) for title, texts in grouped.items()]
     caption = (
         "The paper's claims by the rules of the scorecard: for each body the verdict, the value"
@@ -226,8 +235,125 @@ def counts() -> dict[str, str]:
         "fail": f"{verdict.get(claims.FAILS, 0)}",
         "undecided": f"{verdict.get(claims.UNDECIDED, 0)}",
         "few": f"{judged()['reason'].str.startswith('too few trials').sum()}",
+        "power": number(100 * statistics.POWER),
         "largest": number(found["hours"].max(), 1),
     }
+
+
+# ---------------------------------------------------------------- figures
+
+
+@style.applied()
+def improvement(frame: pd.DataFrame) -> Figure:
+    """Draw for each body how probably a trial of SILEM returns more than one of another method.
+
+    It is the share of pairs of trials, with Newcombe's interval. A mark is full where the interval
+    leaves out one half and both methods have the trials that a claim needs, else hollow: undecided.
+    """
+    rivals = [m for m in style.METHODS if m not in ("silem", "ppo", "random")]
+    rows = [(rival, body) for rival in rivals for body in results.body_names(frame)
+            if results.is_planned(frame, rival, body)]  # fmt: skip
+    figure, axes = style.new_figure(0.9 + 0.27 * len(rows))
+    labels = []
+    for y, (rival, body) in enumerate(rows):
+        look = style.method(rival, results.original_body(frame))
+        cells = [results.scores(frame, method, body, "return_mean") for method in ("silem", rival)]
+        labels.append(f"{look.label}, {body}")
+        low, high = statistics.wins_interval(*cells)
+        counts = [len(cell) for cell in cells]
+        if min(counts):
+            decided = min(counts) >= claims.MIN_TRIALS and not low <= 0.5 <= high
+            faint = {} if decided else {"mfc": "white", "mew": 1.6}
+            axes.plot([low, high], [y, y], color=look.color, lw=2, alpha=1 if decided else 0.45)
+            axes.plot([statistics.wins(*cells)], [y], look.marker, color=look.color, ms=7, **faint)
+        text = "no run" if not min(counts) else f"{counts[0]} and {counts[1]} trials"
+        axes.text(1.03, y, text, va="center", fontsize=8, color=style.MUTED)
+    axes.axvline(0.5, color=style.MUTED, lw=1, ls=style.DASHED)
+    axes.set_yticks(range(len(rows)), labels)
+    axes.set(xlim=(-0.02, 1.02), ylim=(len(rows) - 0.5, -0.5))
+    axes.set_xlabel("probability that a trial of SILEM returns more than one of the method named")
+    axes.grid(axis="x")
+    axes.grid(visible=False, axis="y")
+    note = (
+        "bars: Newcombe's 95 % score interval of the share of pairs of trials; hollow: undecided,"
+        f" it spans one half or a method has fewer than {claims.MIN_TRIALS} trials"
+    )
+    scores.footer(figure, frame, note)
+    return figure
+
+
+@style.applied()
+def profiles(frame: pd.DataFrame) -> Figure:
+    """Draw each method's performance profile: the share of its runs that score more than tau.
+
+    A run's score is its return over the mean of the body's experts, on humanoids, which have none,
+    over the highest return. All bodies' runs count alike; from `scores.INTERVAL_TRIALS` runs on a
+    band is Clopper and Pearson's 95 % interval at each tau.
+    """
+    walks = bodies.get(results.body_names(frame)[0]).family == "humanoid"
+    unit = paper.number("humanoid_max_return") if walks else frame["expert_return"]
+    scored = frame.assign(score=frame["return_mean"].astype(float) / unit)
+    low, top = (np.nan_to_num(end) for end in (scored["score"].min(), scored["score"].max()))
+    low, top = min(0.0, low), max(1.05, top + 0.05)
+    figure, axes = style.new_figure(3.2)
+    taus, handles = np.linspace(low, top, 500), []
+    for name in (name for name in style.METHODS if (frame["method"] == name).any()):
+        look = style.method(name, results.original_body(frame))
+        values = scored.loc[scored["method"] == name, "score"].dropna().to_numpy()
+        handles.append(style.handle(look.color, f"{look.label}, {len(values)} runs", lw=2.2))
+        if not len(values):
+            continue
+        above = (values[:, None] > taus).sum(axis=0)
+        lone = len(values) < scores.INTERVAL_TRIALS
+        line: dict[str, Any] = {"lw": 1.2, "ls": style.DASHED} if lone else {"lw": 2}
+        axes.step(taus, above / len(values), color=look.color, **line)
+        if not lone:
+            tests = [stats.binomtest(k, len(values)) for k in range(len(values) + 1)]
+            band = np.array([test.proportion_ci(statistics.LEVEL) for test in tests])[above]
+            axes.fill_between(taus, *band.T, color=look.color, alpha=0.14, lw=0, step="pre")
+    axes.set(ylim=(-0.02, 1.04), ylabel="share of runs above τ", xlim=(low, top))
+    over = "the highest possible" if walks else "the mean of the body's experts"
+    axes.set_xlabel(f"τ: return of an episode over {over}")
+    if handles:
+        figure.legend(handles=handles, loc="outside upper left", ncols=3)
+    else:
+        style.say(axes, "no run")
+    note = (
+        f"dashed: fewer than {scores.INTERVAL_TRIALS} runs, without a band; bands: Clopper"
+        " and Pearson's 95 % interval at each τ, as if all bodies' runs were of one kind"
+    )
+    scores.footer(figure, frame, note)
+    return figure
+
+
+FIGURES: dict[str, Callable[[pd.DataFrame], Figure]] = {
+    "learning_curves": curves.learning_curves,
+    "improvement": improvement,
+    "profiles": profiles,
+}
+
+
+class ResultsFigure(SphinxDirective):
+    """A figure by its name and its study's; its content is the caption."""
+
+    required_arguments = 2
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Draw the figure; return it, and what stands under it."""
+        name, study = self.arguments
+        whole, trained = results.load_records(study, "book"), [*METHODS]
+        trained.remove("random")
+        shown = results.select(whole, trained, with_stand_ins=name == "learning_curves")
+        shown.attrs["figure"] = name
+        caption, file = " ".join(self.content), f"figures/{name}-{study}.svg"
+        style.save(FIGURES[name](shown), Path(self.env.srcdir) / "book" / file)
+        lines = [f":::{{figure}} {file}", f":name: {name}-{study}", f":alt: {caption}", "", caption]
+        cells = [nodes.container(classes=["cell"]) for _ in range(2)]
+        text = StringList([*lines, ":::"], source="")
+        self.state.nested_parse(text, self.content_offset, cells[0])
+        cells[1] += nodes.raw("", results.trace(shown).data, format="html")
+        return list(cells)
 
 
 # ---------------------------------------------------------------- where the data is from
@@ -250,8 +376,9 @@ def cards() -> list[tuple[str, list[tuple[str, str]]]]:
         fields = [("Body", about["body"]), ("Origin", origin)]
         if "n_states" in about:
             fields.append(("Size", f"{about['n_states']} states, {about['rate_hz']:g} a second"))
+        if speed:
+            fields.append(("Speed", f"{number(speed, 2)} m/s"))
         fields += [
-            ("Speed", f"{number(speed, 2)} m/s"),
             ("Holds", f"{about['n_features']} features of each state, no actions, no rewards"),
             ("Changed", ", ".join(about.get("repairs", [])) or "no repairs"),
             ("Licence", licence),
@@ -295,5 +422,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
         TABLES[name] = table
         app.add_directive(name, TableDirective)
     app.add_directive("data-cards", DataCards)
+    app.add_directive("results-figure", ResultsFigure)
     app.add_role("counted", role(_counted))
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,9 +1,8 @@
 """Tables for the book: pandas Stylers of the paper's tables and of the runs' records."""
 
-from __future__ import annotations
-
 import hashlib
 import html
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -67,6 +66,22 @@ def table_1(frame: pd.DataFrame) -> Styler:
     return styled(pd.DataFrame(rows))
 
 
+def ensembles(frame: pd.DataFrame) -> Styler:
+    """Return Table 1 for K affine maps behind a gate and for the MLP: a row per body and f."""
+    counts = [results.find(run).run_config().hyper.transform_components for run in frame["run_id"]]
+    frame, rows = frame.assign(count=counts), []
+    for body in ("HC0", "HC2", "Ant6"):
+        kinds = [("silem", count) for count in (1, 2, 4, 8)] + [("silem-mlp", 1)] * (body == "HC0")
+        for method, count in kinds:
+            runs = results.cell(frame[frame["count"].eq(count)], method, body)
+            row = {"body": body, "f": "MLP" if "mlp" in method else f"affine, K = {count}"}
+            row |= {"trials": style.trials(len(runs))}
+            for name, column in (("reward of D", "disc_reward"), ("return", "return_mean")):
+                row[name] = _mean(runs[column], spread=True)
+            rows.append(row | {"speed (m/s)": _mean(runs["speed_m_s"], 2)})
+    return styled(pd.DataFrame(rows), "Table 1, continued: means, and lowest to highest of trials")
+
+
 def random_policies() -> Styler:
     """Return what each reading of a random policy returns (`benchmarks.random_policy`)."""
     rows = {"the paper's": number(paper.number("random_return"))}
@@ -97,28 +112,27 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     Runs of another number of iterations than planned stand in rows of their own.
     """
     rows, original = [], results.original_body(frame)
+    lasts = results.can_fall(frame) and original  # Ants' episodes end, others do not or say a share
     upright = results.upright_label(frame).removeprefix("share of ")
-    for body in results.body_names(frame):
-        for method in (m for m in style.METHODS if results.is_planned(frame, m, body)):
-            label = style.method(method, original).label
-            shown = [(label, results.cell(frame, method, body))]
-            for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
-                planned = runs["planned_iterations"].iloc[0]
-                shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
-            best = results.against_best(frame, method, body)
-            rows += [
-                {
-                    "body": body,
-                    "method": words,
-                    "trials": len(runs),
-                    "return": _mean(runs["return_mean"], spread=True),
-                    "score": _mean(runs["normalised"], 2, spread=True),
-                    "score, best expert": _mean(best if words == label else [], 2),
-                    "speed (m/s)": _mean(runs["speed_m_s"], 2),
-                    upright: _mean(100 * runs["upright"], 0, " %"),
-                    "discriminator reward": _mean(runs["disc_reward"]),
-                    "wall time (min)": _mean(runs["wall_time_s"] / 60, 1),
-                }
-                for words, runs in shown
-            ]
+    cells = itertools.product(results.body_names(frame), style.METHODS)
+    for body, method in ((b, m) for b, m in cells if results.is_planned(frame, m, b)):
+        label = style.method(method, original).label
+        shown = [(label, results.cell(frame, method, body))]
+        for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
+            planned = runs["planned_iterations"].iloc[0]
+            shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
+        best = results.against_best(frame, method, body)
+        for words, runs in shown:
+            row = {"body": body, "method": words, "trials": len(runs)}
+            row["return"] = _mean(runs["return_mean"], spread=True)
+            if lasts:
+                row["steps"] = _mean(runs["steps"], spread=True)
+            row["score"] = _mean(runs["normalised"], 2, spread=True)
+            row["score, best expert"] = _mean(best if words == label else [], 2)
+            row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
+            if not lasts:
+                row[upright] = _mean(100 * runs["upright"], 0, " %")
+            row["discriminator reward"] = _mean(runs["disc_reward"])
+            row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
+            rows.append(row)
     return styled(pd.DataFrame(rows))

@@ -1,7 +1,6 @@
-"""The affine transforms that were learned, feature by feature: of bodies, of one run, Figure 4."""
+"""The affine transforms that were learned, feature by feature: of bodies (Figure 4), of one run."""
 
-from __future__ import annotations
-
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,19 +11,23 @@ from matplotlib.ticker import MaxNLocator
 
 from silem import bodies, paper
 from silem.bodies import BulletBody
+from silem.motion import retargeted
+from silem.motion.demonstrations import Demonstrations, file_of
 from silem.motion.features import FEATURES
-from silem.report import results, scores, style
+from silem.report import results, scores, statistics, style
+from silem.report.style import number
 from silem.study.record import TRANSFORM, RunRecord
+from silem.study.settings import HUMAN
 from silem.util import files
 from silem.util.errors import SilemError, choose
 
-_BODY_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _ENTRIES = {
-    "scale": ("A", 1.0, "A, diagonal: 1 leaves a feature as it is"),
-    "offset": ("b", 0.0, "b, offset in each feature's unit: 0 leaves a feature as it is"),
+    "A": ("A, diagonal (1: unchanged)", 1.0),
+    "b": ("b, offset (0: unchanged)", 0.0),
 }
 _ARMS = ("left hand", "right hand", "elbow")
-_GROUP_GAP = 0.7  # between two groups' features, which stand 1 apart
+_LIMBS = (*_ARMS[:2], "left foot", "right foot")
 _TORSO = (
     "height above start", "bearing, sine", "bearing, cosine", "forward velocity",
     "sideways velocity", "vertical velocity", "roll", "pitch",
@@ -57,10 +60,16 @@ def feature_names(body: str) -> list[str]:
 
 
 def feature_groups(body: str) -> list[Group]:
-    """Sort a body's features into groups: a runner's torso, angles, velocities and contacts."""
+    """Sort a body's features: a runner's torso, joints and contacts, or a humanoid's limbs."""
     known = bodies.get(body)
     if not isinstance(known, BulletBody):
-        return _humanoid_groups()
+        members: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        for column, feature in enumerate(FEATURES):
+            first, _, last = feature.label.rpartition(" ")
+            if last in ("elbow", "knee"):  # left and right stand side by side
+                first, last = last, first
+            members.setdefault((first, feature.unit), []).append((column, last))
+        return [Group(*key, *zip(*entries, strict=True)) for key, entries in members.items()]
 
     def readable(name: str) -> str:
         short = known.family == "halfcheetah" and name[0] in _PARTS
@@ -68,110 +77,137 @@ def feature_groups(body: str) -> list[Group]:
 
     joints = tuple(readable(motor.joint) for motor in known.motors)
     feet = tuple(map(readable, known.feet))
-    first, last = len(_TORSO), len(_TORSO) + 2 * len(joints)
+    start, end = len(_TORSO), len(_TORSO) + 2 * len(joints)
     return [
-        Group("torso", "m; 0.3 × m/s; rad", tuple(range(first)), _TORSO),
-        Group("joint angle", "−1, 1: its limits", tuple(range(first, last, 2)), joints),
-        Group("joint velocity", "0.1 × rad/s", tuple(range(first + 1, last, 2)), joints),
-        Group("floor contact", "", tuple(range(last, last + len(feet))), feet),
-    ]
-
-
-def _humanoid_groups() -> list[Group]:
-    """Return the limbs' positions, elbows, knees, head, torso's vertical and velocity."""
-    members: dict[tuple[str, str], list[tuple[int, str]]] = {}
-    for column, feature in enumerate(FEATURES):
-        first, _, last = feature.label.rpartition(" ")
-        if last in ("elbow", "knee"):  # left and right stand side by side
-            first, last = last, first
-        members.setdefault((first, feature.unit), []).append((column, last))
-    return [
-        Group(name, unit, *(tuple(part) for part in zip(*entries, strict=True)))
-        for (name, unit), entries in members.items()
+        Group("torso", "m; 0.3 × m/s; rad", tuple(range(start)), _TORSO),
+        Group("joint angle", "−1, 1: its limits", tuple(range(start, end, 2)), joints),
+        Group("joint velocity", "0.1 × rad/s", tuple(range(start + 1, end, 2)), joints),
+        Group("floor contact", "", tuple(range(end, end + len(feet))), feet),
     ]
 
 
 @style.applied()
 def by_feature(frame: pd.DataFrame) -> Figure:
-    """Draw A's diagonal and b by feature: small marks are trials, large ones their means."""
+    """Draw A's diagonal and b by feature, as Figure 4: large marks are means over policies.
+
+    They are those of the best policies, at most as many as the paper shows, each a small mark.
+    Lines join the features of a group, and stripes lie under those of a humanoid's arms, which
+    HumanoidR's asymmetry touches; an upright stroke is what its limbs' lengths let `expected`. A run
+    of another number of iterations than planned is a cross and enters no mean.
+    """
     frame = scores.runs_of("by_feature", frame)
-    names, handles = results.body_names(frame), []
-    figure, panels = _sheet(names[0], 6.4)
+    names, handles, n_best = results.body_names(frame), [], paper.number("best_policies_shown")
+    figure, panels, rows = sheet(names[0], 6.4)
     for index, body in enumerate(names):
-        rows = results.cell(frame, "silem", body)
-        look: dict[str, Any] = {"ls": "none", "marker": _BODY_MARKERS[index]}
-        look["color"] = style.body_color(index, len(names))
-        label = f"{body}, {style.trials(len(rows))}"
-        handles.append(style.handle(label=label, ms=7, mec="white", **look))
+        runs, others = (of(frame, "silem", body) for of in (results.cell, results.stand_ins))
+        best = runs.sort_values("return_mean", ascending=False).head(n_best)
+        look: dict[str, Any] = {"color": style.body_color(index, len(names))}
+        look |= {"marker": _MARKERS[index], "mec": "white"}
+        places = rows + (index - (len(names) - 1) / 2) * 0.7 / len(names)
         for entry, axes in panels.items():
-            values = _values(rows, entry)
-            places = np.arange(values.shape[1]) + (index - (len(names) - 1) / 2) * 0.26
+            values = _values(best, entry)
             for trial in values if len(values) > 1 else ():
-                axes.plot(trial, places, ms=2.5, alpha=0.45, mec="none", **look)
-            if len(values):
-                axes.plot(values.mean(axis=0), places, ms=5, mec="white", mew=0.5, **look)
+                small = {"ls": "none", "ms": 2.5, "alpha": 0.45, "mec": "none"}
+                axes.plot(trial, places, **look | small)
+            for other in _values(others, entry):
+                axes.plot(other, places, "x", color=look["color"], ms=3.5)
+            for group in feature_groups(body) if len(values) else ():
+                columns = list(group.columns)
+                axes.plot(values.mean(axis=0)[columns], places[columns], ms=5, lw=0.8, **look)
+        if np.isfinite(hoped := expected(body)).any():
+            panels["A"].plot(hoped, places, "|", color=look["color"], ms=8, mew=2)
+        words = "".join(f"; ×: {n:,} iterations" for n in others["n_iterations"])
+        label = f"{body}, {style.trials(len(best))}{words}"
+        handles.append(style.handle(label=label, ms=7, ls="none", **look))
     for axes in panels.values() if frame.empty else ():
         style.say(axes, "no run")
-    figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
-    scores.footer(figure, frame)
-    return figure
+    note = f"small: a policy, large: their mean; the paper shows each body's best {n_best}"
+    if any(np.isfinite(expected(body)).any() for body in names):
+        note += "; upright strokes: the ratio of the limbs' distances from the torso"
+    return scores.finish(figure, frame, handles, note)
+
+
+def expected(body: str) -> np.ndarray:
+    """Return what a humanoid's A, (F,), is by its limbs: the man's distances over the body's.
+
+    They are a hand's or foot's from the torso, means over his walk and over the same walk that
+    inverse kinematics gives the body; NaN of other features, and of bodies that no walk is given.
+    """
+    ratios = np.full(len(feature_names(body)), np.nan)
+    if file_of(retargeted(HUMAN, body)).exists():
+        walks = [Demonstrations.load(n).features[0] for n in (HUMAN, retargeted(HUMAN, body))]
+        for columns in (list(g.columns) for g in feature_groups(body) if g.name in _LIMBS):
+            man, ours = (np.linalg.norm(walk[:, columns], axis=1).mean() for walk in walks)
+            ratios[columns] = man / ours
+    return ratios
+
+
+def agreement(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, A of humanoids' limbs beside `expected`, and their rank correlation.
+
+    A is the mean over a body's best policies. The correlation is over the limbs' coordinates, three
+    of which share an expectation.
+    """
+    rows = []
+    for body in results.body_names(frame):
+        runs = results.cell(frame, "silem", body).sort_values("return_mean", ascending=False)
+        best = _values(runs.head(paper.number("best_policies_shown")), "A")
+        row, hoped = {"body": body, "policies": str(len(best))}, expected(body)
+        for group in (g for g in feature_groups(body) if g.name in _LIMBS):
+            columns = list(group.columns)
+            learned = number(best[:, columns].mean() if len(best) else None, 2)
+            row[group.name] = f"{number(hoped[columns[0]], 2)} → {learned}"
+        known = np.isfinite(hoped)
+        row["rank correlation"] = style.DASH
+        if len(best) and known.any():
+            found = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
+            rho, low, high = (number(value, 2) for value in found)
+            row["rank correlation"] = f"{rho} [{low} to {high}]"
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 @style.applied()
 def of_run(record: RunRecord) -> Figure:
     """Draw the affine transform that one run learned, feature by feature."""
     arrays, body = files.read_npz(record.file(TRANSFORM)), record.config["body"]
-    rows, color = np.arange(len(feature_names(body))), style.method("silem").color
-    figure, panels = _sheet(body, 0.21 * len(rows) + 1.0)
-    for (entry, axes), neutral in zip(panels.items(), (1.0, 0.0), strict=True):
-        axes.hlines(rows, neutral, arrays[entry], color=color, lw=1.6)
+    color = style.method("silem").color
+    figure, panels, rows = sheet(body, 0.21 * len(feature_names(body)) + 1.0)
+    for entry, axes in panels.items():
+        axes.hlines(rows, _ENTRIES[entry][1], arrays[entry], color=color, lw=1.6)
         axes.plot(arrays[entry], rows, "o", ms=4.5, color=color)
         axes.ticklabel_format(axis="x", useOffset=False)
         axes.xaxis.set_major_locator(MaxNLocator(5))
-    style.footer(figure, record.run_id)
-    return figure
+    return style.finish(figure, note=record.run_id)
 
 
 @style.applied()
-def figure_4(frame: pd.DataFrame, which: str) -> Figure:
-    """Draw Figure 4a or 4b: A or b of Humanoid's and HumanoidR's best policies, by feature.
+def against(
+    frame: pd.DataFrame, x: Mapping[str, float], label: str, features: Sequence[str]
+) -> Figure:
+    """Draw A and b of some features (`feature_names`) against a number of each body, say a length.
 
-    A thin line is a policy, a thick one their mean; lines join the features of one group. Thick
-    gridlines stand under the features of the arms, which HumanoidR's asymmetry touches. A run of
-    another number of iterations than planned is dashed and enters no mean. `which` is "scale" (A,
-    Figure 4a) or "offset" (b, Figure 4b).
+    Dots are trials, lines their means.
     """
-    entry, neutral, title = _ENTRIES[choose("part of the transform", which, _ENTRIES)]
-    frame = scores.runs_of("figure_4", frame)
-    names, handles = results.body_names(frame), []
-    groups, n_best = feature_groups(names[0]), paper.number("best_policies_shown")
-    figure, axes = style.new_figure(3.9)
-    axes.set_title(title)
-    axes.axhline(neutral, color=style.MUTED, lw=1, ls=style.DASHED)
-    places = _feature_axis(axes, groups)
-    for index, body in enumerate(names):
-        color = style.MUTED if index == 0 else style.body_color(1, 2)
-        thick: dict[str, Any] = {"color": color, "lw": 2.4, "marker": _BODY_MARKERS[index]}
-        thin: dict[str, Any] = {"lw": 0.8, "alpha": 0.55, "marker": ".", "ms": 3}
-        dashed: dict[str, Any] = {"lw": 1, "ls": (0, (3, 2)), "marker": "x", "ms": 4}
-        rows, others = (of(frame, "silem", body) for of in (results.cell, results.stand_ins))
-        best = _values(rows.sort_values("return_mean", ascending=False).head(n_best), entry)
-        lines = [(values, thin) for values in best]
-        lines += [(values, dashed) for values in _values(others, entry)]
-        if len(best):
-            lines.append((best.mean(axis=0), thick | {"ms": 5, "mec": "white", "mew": 0.6}))
-        for values, look in lines:
-            for columns in (list(group.columns) for group in groups):
-                axes.plot(places[columns], values[columns], **{"color": color} | look)
-        words = {0: "no run", 1: "one policy"}.get(len(best), f"{len(best)} policies")
-        words += "".join(f"; dashed: {n:,} iterations" for n in others["n_iterations"])
-        handles.append(style.handle(label=f"{body}, {words}", **thick))
-    axes.update_datalim([(0, neutral - 0.1), (0, neutral + 0.1)])  # shown at least
-    axes.autoscale_view(scalex=False)
-    figure.legend(handles=handles, loc="outside upper left", ncols=len(names))
-    note = f"thin: a policy, thick: their mean; the paper shows each body's best {n_best}"
-    scores.footer(figure, frame, note)
-    return figure
+    runs = results.select(frame, ["silem"], list(x), with_stand_ins=False)
+    figure, grid = style.panels([title for title, _ in _ENTRIES.values()], 2.8, sharex=True)
+    known = feature_names(next(iter(x)))
+    for axes, (entry, (_, neutral)) in zip(grid, _ENTRIES.items(), strict=True):
+        axes.set_xlabel(label)
+        axes.axhline(neutral, color=style.MUTED, lw=1, ls=style.DASHED)
+        values = {body: _values(results.cell(runs, "silem", body), entry) for body in x}
+        values = {body: found for body, found in values.items() if len(found)}
+        for index, feature in enumerate(features):
+            column, color = known.index(choose("feature", feature, known)), f"C{index}"
+            for body, found in values.items():
+                axes.plot([x[body]] * len(found), found[:, column], ".", color=color, alpha=0.5)
+            means = [found[:, column].mean() for found in values.values()]
+            axes.plot([x[body] for body in values], means, color=color, marker=_MARKERS[index % 7])
+        if not values:
+            style.say(axes, "no run")
+    look = [{"color": f"C{index}", "marker": _MARKERS[index % 7]} for index in range(len(features))]
+    handles = [style.handle(label=f, **one) for f, one in zip(features, look, strict=True)]
+    return scores.finish(figure, runs, handles, "dots: trials, lines: their means", ncols=4)
 
 
 def _values(rows: pd.DataFrame, entry: str) -> np.ndarray:
@@ -183,55 +219,36 @@ def _values(rows: pd.DataFrame, entry: str) -> np.ndarray:
     return np.array(loaded) if loaded else np.empty((0, 0))
 
 
-def _sheet(body: str, height_in: float) -> tuple[Figure, dict[str, Axes]]:
-    """Return an empty figure of transforms, a row per feature, and its panels by entry, A and b."""
-    names = feature_names(body)
+def sheet(
+    body: str, height_in: float, entries: Mapping[str, tuple[str, float]] = _ENTRIES
+) -> tuple[Figure, dict[str, Axes], np.ndarray]:
+    """Return an empty figure of transforms, its panels by entry, and each feature's row, (F,).
+
+    Of each entry there is a title and a value that a line marks. Groups of features stand together,
+    every other one on grey, their units to the right.
+    """
     figure, panels = style.new_figure(height_in, ncols=2, sharey=True)
-    panels[0].set(ylim=(len(names) - 0.4, -0.6))
-    panels[0].set_yticks(range(len(names)), names)
-    titles = ("A, diagonal (1: unchanged)", "b, offset (0: unchanged)")
-    for axes, title, (_, neutral, _) in zip(panels, titles, _ENTRIES.values(), strict=True):
-        axes.set_title(title)
+    groups, names = feature_groups(body), feature_names(body)
+    order = [column for group in groups for column in group.columns]
+    rows = np.argsort(order).astype(float)
+    for axes, (title, neutral) in zip(panels, entries.values(), strict=True):
+        axes.set(title=title, ylim=(len(names) - 0.4, -0.6))
         axes.grid(axis="y", visible=True)
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
         axes.axvline(neutral, color=style.MUTED, lw=1, ls=style.DASHED)
         axes.update_datalim([(neutral - 0.1, 0), (neutral + 0.1, 0)])  # shown at least
         axes.autoscale_view(scaley=False)
-        for first, last in _spans(feature_groups(body))[1::2]:
-            axes.axhspan(first - 0.5, last + 0.5, color="#f6f6f6", lw=0, zorder=0)
-    return figure, {"A": panels[0], "b": panels[1]}
-
-
-def _spans(groups: list[Group]) -> list[tuple[int, int]]:
-    """Return first and last row of the groups; a joint's angle and velocity take turns, as one."""
-    spans: list[tuple[int, int]] = []
-    for group in groups:
-        first, last = min(group.columns), max(group.columns)
-        if spans and first < spans[-1][1]:
-            first, last = spans[-1][0], max(last, spans.pop()[1])
-        spans.append((first, last))
-    return spans
-
-
-def _feature_axis(axes: Axes, groups: list[Group]) -> np.ndarray:
-    """Lay the features along the x axis, named, in groups; return their places (F,)."""
-    labels = {c: t for g in groups for c, t in zip(g.columns, g.labels, strict=True)}
-    places = np.arange(len(labels), dtype=float)
-    for index, group in enumerate(groups):
-        columns = list(group.columns)
-        places[columns] += index * _GROUP_GAP
-        color, lw = ("#c9c9c9", 3.0) if group.name in _ARMS else ("#ececec", 0.8)
-        for place in places[columns]:
-            axes.axvline(place, zorder=0, color=color, lw=lw)
-    axes.set_xticks(places, [labels[column] for column in range(len(places))])
-    axes.set_xlim(places[0] - 0.7, places[-1] + 0.7)
-    axes.tick_params(axis="x", length=0, labelsize=7.5)
-    names = axes.secondary_xaxis(-0.06)
-    names.set_xticks(
-        [places[list(group.columns)].mean() for group in groups],
-        [f"{group.name}\n{f'({group.unit})' if group.unit else ' '}" for group in groups],
+        for index, group in enumerate(groups):
+            ends = rows[group.columns[0]] - 0.5, rows[group.columns[-1]] + 0.5
+            color = "#ececec" if group.name in _ARMS else "#f6f6f6"
+            if index % 2 or group.name in _ARMS:
+                axes.axhspan(*ends, color=color, lw=0, zorder=0)
+    panels[0].set_yticks(rows, names)
+    units = panels[1].secondary_yaxis("right")
+    units.set_yticks(
+        [rows[list(group.columns)].mean() for group in groups], [g.unit for g in groups]
     )
-    names.tick_params(length=0)
-    names.spines[:].set_visible(False)
-    return places
+    units.tick_params(length=0)
+    units.spines[:].set_visible(False)
+    return figure, dict(zip(entries, panels, strict=True)), rows

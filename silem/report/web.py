@@ -24,15 +24,15 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
-from silem.report.film import encode_png
+from silem.report.film import LEARNING
 from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
 from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
@@ -135,11 +135,14 @@ def records() -> list[RunRecord]:
 
 
 def learning_pack() -> bytes:
-    """Return the curves of all published runs that learned, and the T that each ended with."""
+    """Return the curves of all published runs that learned, and the T that each ended with.
+
+    Of those that were filmed while they learned also the iterations of the films, and each T.
+    """
     runs = []
     for record in records():
         config = record.config
-        if CURVE not in record.files:
+        if CURVE not in record.files or config["study"] not in STUDIES:  # a search has too many
             continue
         curve = files.read_csv(record.file(CURVE))
         run = {name: config[name] for name in ("study", "body", "method", "seed")}
@@ -154,6 +157,12 @@ def learning_pack() -> bytes:
             arrays = files.read_npz(record.file(TRANSFORM))
             if arrays.keys() == {"A", "b"}:
                 run |= {name: _plain(array) for name, array in arrays.items()}
+        if films := sorted(int(film.stem) for film in (LEARNING / record.run_id).glob("*.mp4")):
+            run["films"] = films
+        if (learned := LEARNING / record.run_id / "transforms.npz").exists():
+            arrays = files.read_npz(learned)
+            run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
+            run["learned"]["iteration"] = arrays["iteration"].tolist()
         runs.append(run)
     used = dict.fromkeys(run["body"] for run in runs if "A" in run)
     data = {
@@ -176,7 +185,7 @@ def links(frame: pd.DataFrame) -> str:
 
     The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
     """
-    name = frame.attrs.get("figure", f"{frame.attrs['study']}_runs")
+    name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
     data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
     counted = frame["processor_time_s"].dropna()
     hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"
@@ -211,7 +220,10 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
-    """Write every pack into a folder, and what the pages must know of them into ``packs.js``."""
+    """Write every pack into a folder, and what the pages must know of them into ``packs.js``.
+
+    The first picture of each film becomes its poster, beside it in the folder above.
+    """
     about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
     packs |= {"learning": learning_pack()} | (physics(cache) or {})
@@ -223,8 +235,10 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
         licence = "mujoco-3*.dist-info/licenses/LICENSE"
         (found,) = [p for p in distribution("mujoco").files or () if p.match(licence)]
         files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
-    with Image.open(REPO / "book" / "_static" / "walking.webp") as film:
-        files.write_bytes(folder / "walking.png", encode_png(np.asarray(film.convert("RGB"))))
+    films = REPO / "book" / "_static"
+    for path in films.rglob("*.mp4"):
+        poster = imageio.imwrite("<bytes>", imageio.imread(path, index=0), extension=".jpg")
+        files.write_bytes((folder.parent / path.relative_to(films)).with_suffix(".jpg"), poster)
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")
 
 

@@ -4,8 +4,6 @@ A configuration holds exactly the hyper-parameters that its method uses, so that
 expert's run does not depend on how discriminators are trained.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -22,6 +20,9 @@ from silem.util.errors import SilemError, check_name, choose, reason
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)
 """The trials' root seeds, fixed before any run was made."""
+
+SEARCH = "search-"
+"""How the folder of a search's runs begins."""
 
 MAX_RUN_ID = 240
 """Characters of a run's id, which is a folder's name: file systems take 255."""
@@ -50,7 +51,7 @@ class RunConfig:
         seed: int = 0,
         study: str | None = None,
         **overrides: Any,
-    ) -> RunConfig:
+    ) -> "RunConfig":
         """Make a checked configuration; the one door to `RunConfig`.
 
         Args:
@@ -63,8 +64,7 @@ class RunConfig:
             **overrides: Hyper-parameters, and parameters of the body, that replace the
                 supplement's best combination for this cell.
 
-        Raises:
-            SilemError: Anything unknown, out of range, or of no use to the method.
+        Raises SilemError: anything unknown, out of range, or of no use to the method.
         """
         learner = bodies.get(body)
         choose("method", method, METHODS)
@@ -131,6 +131,12 @@ class RunConfig:
         return f"{self.method}_{self.body}{source}_{self.budget.name}_s{self.seed}_{digest}"
 
     @property
+    def is_published(self) -> bool:
+        """Whether its record goes to the committed results: evidence, and what searches rank."""
+        searches = self.study.startswith(SEARCH) and self.budget.base_name == "quick"
+        return self.budget.is_evidence or searches
+
+    @property
     def command(self) -> str:
         """The command line that makes this run, or goes on with it."""
         budget, _, iterations = self.budget.name.partition("-")
@@ -170,7 +176,7 @@ class RunConfig:
         } | ({"own_body": body} if body else {})
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> RunConfig:
+    def from_dict(cls, content: Mapping[str, Any]) -> "RunConfig":
         """Rebuild a configuration from `to_dict`, through the same checks.
 
         Raises SilemError: As `create`, or the body is another one now.

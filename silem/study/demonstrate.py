@@ -1,7 +1,5 @@
 """A body's demonstrator, by a rule, its recording as what imitators learn from, and its gait."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,17 +13,23 @@ from silem.motion.demonstrations import Demonstrations
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
 from silem.study.record import RunRecord
-from silem.study.settings import Budget
+from silem.study.settings import Budget, budget_named
+from silem.study.studies import STUDIES
 from silem.util.errors import SilemError
 
 _FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.LocomotionTask`
 
 
 def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:
-    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's."""
-    first = RunConfig.create(body, "ppo", None, budget, TRIAL_SEEDS[0] if trial is None else trial)
-    seeds = TRIAL_SEEDS[1 : first.budget.n_trials] if trial is None else ()
-    return [first, *(RunConfig.create(body, "ppo", None, budget, seed) for seed in seeds)]
+    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's.
+
+    Those of its family's study; of a body that its name describes, of the first that plans them.
+    """
+    plans = [name for name, known in STUDIES.items() if ("ppo", body) in known.made]
+    study = plans[0] if plans and body not in bodies.names() else None
+    trials = STUDIES[study].seeds if study else TRIAL_SEEDS
+    seeds = trials[: budget_named(budget).n_trials] if trial is None else (trial,)
+    return [RunConfig.create(body, "ppo", None, budget, seed, study) for seed in seeds]
 
 
 def demonstrator(body: str, budget: str | Budget, trial: int | None = None) -> RunRecord:

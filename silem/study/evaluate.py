@@ -3,8 +3,6 @@
 Policies act stochastically, as in training and in the demonstrations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -13,10 +11,10 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 from silem import algorithms, bodies
-from silem.algorithms.gaifo import GAIfO
-from silem.algorithms.windows import INFO_KEY, LearnerFeatures, episode_windows
+from silem.algorithms.gaifo import GAIfO, LearnerFeatures, episode_windows
 from silem.bodies import Body
 from silem.envs import make_vec
+from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
 from silem.study.record import POLICY, RunRecord
 from silem.study.training import unclipped
@@ -82,6 +80,11 @@ class Episode(NamedTuple):
     speed_m_s: float | None  # mean, forward; None where the environment does not say
     upright: float | None  # fraction of the steps with the alive bonus, or None likewise
 
+    @property
+    def n_steps(self) -> int:
+        """How long it was."""
+        return len(self.features) - 1
+
 
 class Evaluation(NamedTuple):
     """What a policy achieved over `n_episodes` episodes, by the true reward."""
@@ -92,6 +95,7 @@ class Evaluation(NamedTuple):
     returns: list[float]
     speed_m_s: float | None  # None where the environment does not say
     upright: float | None
+    steps_mean: float | None  # of an episode
     disc_reward_mean: float | None  # per episode; None where there is no discriminator
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,10 +116,8 @@ def episodes(
 
     Every environment's number of episodes is fixed beforehand, so that short episodes are not
     over-represented. The random numbers of policy and environments restart from `seed`; `options`
-    are the environments' (see `silem.envs.make_vec`).
-
-    Raises:
-        SilemError: The body is unknown, or `n_episodes` is below 1.
+    are the environments' (see `silem.envs.make_vec`). Raises SilemError: the body is unknown, or
+    `n_episodes` is below 1.
     """
     if n_episodes < 1:
         raise SilemError(f"episodes must be 1 or more, not {n_episodes}")
@@ -165,14 +167,14 @@ def evaluate(
     """Evaluate a policy over `episodes` by the true reward, and by a `model`'s discriminator."""
     found, scores = [], []
     for episode in episodes(policy, body, n_episodes, seed, progress=progress, **options):
-        found.append(episode[1:])
+        found.append((*episode[1:], episode.n_steps))
         if model is not None:
             windows = episode_windows(episode.features, model.window)
             scores.append(float(model.score_windows(windows).sum()))
-    returns, speeds, uprights = zip(*found, strict=True)
+    returns, speeds, uprights, steps = zip(*found, strict=True)
     mean, std = float(np.mean(returns)), float(np.std(returns))
     rounded = [round(value, 3) for value in returns]
-    told = _mean(speeds), _mean(uprights), _mean(scores)
+    told = _mean(speeds), _mean(uprights), _mean(steps), _mean(scores)
     return Evaluation(n_episodes, mean, std, rounded, *told)
 
 

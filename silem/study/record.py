@@ -1,7 +1,5 @@
 """What a finished run leaves: its record, where its code came from, and its learning curve."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import os
@@ -25,9 +23,7 @@ RECORD = "record.json"
 CURVE, POLICY, TRANSFORM = "curve.csv", "policy.safetensors", "transform.npz"
 CHECKPOINT, PROGRESS = "checkpoint.safetensors", "progress.json"  # of an unfinished run
 _LATER = {"processor_time_s"}  # older records are without
-PACKAGES = (
-    "dm-control", "gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch",
-)  # fmt: skip
+PACKAGES = tuple("dm-control gymnasium mujoco numpy pybullet stable-baselines3 torch".split())
 
 CURVE_COLUMNS = (
     "iteration", "timesteps", "return_mean", "speed_m_s", "disc_reward", "disc_loss",
@@ -35,12 +31,8 @@ CURVE_COLUMNS = (
     "domain_acc",
 )  # fmt: skip
 """Of a learning curve, which has one row per iteration."""
-
-ALWAYS = 10
-"""So many first columns stand in every published curve, a later one where it has numbers."""
-
-MAX_ROWS = 200
-"""Rows of a published curve."""
+ALWAYS = 10  # so many first columns stand in every published curve, a later one if it has numbers
+MAX_ROWS = 200  # of a published curve
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,7 +57,7 @@ class RunRecord:
         return f"<RunRecord {self.run_id}: {told}>"
 
     @classmethod
-    def load(cls, path: Path) -> RunRecord:
+    def load(cls, path: Path) -> "RunRecord":
         """Read ``record.json``, or the one in a folder; raises SilemError if it is no record."""
         path = path / RECORD if path.is_dir() else path
         content = files.read_json(path)

@@ -1,7 +1,5 @@
 """Runs: started, resumed or looked up by their configuration, and recorded once finished."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
@@ -18,19 +16,9 @@ import numpy as np
 from silem import bodies
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
+from silem.study import record as records
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.record import (
-    CHECKPOINT,
-    CURVE,
-    CURVE_COLUMNS,
-    POLICY,
-    PROGRESS,
-    RECORD,
-    TRANSFORM,
-    RunRecord,
-    curve_csv,
-    provenance,
-)
+from silem.study.record import CHECKPOINT, CURVE, POLICY, PROGRESS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import check_counts
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name
@@ -40,9 +28,7 @@ if TYPE_CHECKING:
 
 LOCK, ATTEMPT, FAILED = "run.lock", "attempt.json", "failed.txt"
 STARTS = 5
-"""How often a work loop begins a run at one checkpoint, each time killed, before it has failed.
-
-Whoever asks for the run itself may go on."""
+"""How often a work loop begins a run at one checkpoint, each time killed, before it has failed."""
 
 
 def run_folder(config: RunConfig) -> Path:
@@ -59,17 +45,22 @@ def find(run_id: str) -> RunRecord | None:
     return None
 
 
+def get(run_id: str) -> RunRecord:
+    """Return a finished run's record; SilemError if there is none, or it is damaged."""
+    if (record := find(run_id)) is None:
+        raise SilemError(f"there is no finished run {run_id!r} in {paths.data_dir()}")
+    return record
+
+
 def finished(config: RunConfig) -> RunRecord | None:
     """Return a run's record, or None; SilemError if its demonstrations are not those there now."""
-    record = find(config.run_id)
-    if record is None or not config.demonstrations:
-        return record
-    path, then = demos.file_of(config.demonstrations), str(record.demonstrations_sha256)
-    if path.exists() and (now := files.sha256(path)) != then:
-        raise SilemError(
-            f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
-            f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
-        )
+    if (record := find(config.run_id)) and config.demonstrations:
+        path, then = demos.file_of(config.demonstrations), str(record.demonstrations_sha256)
+        if path.exists() and (now := files.sha256(path)) != then:
+            raise SilemError(
+                f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
+                f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
+            )
     return record
 
 
@@ -184,8 +175,7 @@ def run(
         SilemError: It was killed too often at one checkpoint; another process works on it
             (`silem.util.files.Held`); its checkpoint is damaged or another run's; its
             demonstrations are missing, too few, or not those it was made with.
-        KeyboardInterrupt: On Ctrl-C or SIGTERM, or at a checkpoint when time is up; the message
-            tells how to go on.
+        KeyboardInterrupt: On Ctrl-C or SIGTERM, or when time is up; it tells how to go on.
     """
     folder, published = run_folder(config), paths.results_dir(config.study) / config.run_id
     written = (folder, published)
@@ -219,8 +209,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     from silem.study.training import Checkpoint, make_env, make_model, task_options, train
 
     torch.set_num_threads(1)
-    source = provenance()
-    demonstrations, sha = load_demonstrations(config)
+    source, (demonstrations, sha) = records.provenance(), load_demonstrations(config)
     start, path = Checkpoint.start(config, sha or ""), folder / CHECKPOINT
     start = Checkpoint.load(path, config, sha or "") if path.exists() else start
     commit = source["git_commit"] or "unknown"
@@ -239,13 +228,12 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
             finally:
                 env.close()
             names = _write_outcome(folder, policy, curve, config.run_id)
-            rewards = curve[:, CURVE_COLUMNS.index("disc_reward")]
-            rewards = rewards[~np.isnan(rewards)]
-            n_steps = config.budget.n_steps
+            rewards = curve[:, records.CURVE_COLUMNS.index("disc_reward")]
+            rewards, n_steps = rewards[~np.isnan(rewards)].tolist(), config.budget.n_steps
             training = {
                 "n_steps": n_steps,
                 "steps_per_s": n_steps / start.spent()["wall_time_s"],
-                "disc_reward_last": float(rewards[-1]) if len(rewards) else None,
+                "disc_reward_last": rewards[-1] if rewards else None,
             }
             source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
         if demonstrations is not None:
@@ -267,7 +255,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         files={name: files.sha256(folder / name) for name in names},
         folder=folder,
     )
-    if config.budget.is_evidence:
+    if config.is_published:
         published = paths.results_dir(config.study) / config.run_id
         for name in names:
             files.write_bytes(published / name, (folder / name).read_bytes())
@@ -276,18 +264,20 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     return record
 
 
-def _write_outcome(folder: Path, model: PPO, curve: np.ndarray, run_id: str) -> list[str]:
+def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> list[str]:
     """Write what a training leaves, and return the files' names."""
     from silem.algorithms import SILEM
-    from silem.algorithms.networks import AffineTransform
+    from silem.algorithms.networks import AffineEnsemble, AffineTransform
 
-    files.write_text(folder / CURVE, curve_csv(curve))
+    files.write_text(folder / CURVE, records.curve_csv(curve))
     model.export_policy(folder / POLICY, run_id=run_id)
     net = model.transform_net if isinstance(model, SILEM) else None
     if not isinstance(net, AffineTransform):
         return [CURVE, POLICY]
-    arrays = {"A": net.scale, "b": net.offset}
-    files.write_npz(folder / TRANSFORM, {n: x.detach().cpu().numpy() for n, x in arrays.items()})
+    arrays = net.mean()
+    if isinstance(net, AffineEnsemble):
+        arrays |= {name: x.detach().cpu().numpy() for name, x in net.state_dict().items()}
+    files.write_npz(folder / TRANSFORM, arrays)
     return [CURVE, POLICY, TRANSFORM]
 
 
@@ -311,6 +301,6 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str |
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
-    if demonstrations not in bodies.names():
+    if not bodies.exists(demonstrations):
         path = demos.file_of(demonstrations)
         raise SilemError(f"{path} is not there or not whole; `silem mocap` makes it")

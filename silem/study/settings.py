@@ -5,10 +5,7 @@ The paper's tables come first (`silem.paper`), then what it leaves open: per fam
 runs, `silem.settings`, ``silem show`` and the book's tables all read that.
 """
 
-from __future__ import annotations
-
 import dataclasses
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,7 +14,7 @@ from typing import Any, NamedTuple
 from silem import bodies, paper
 from silem.motion import retargeted
 from silem.motion.demonstrations import file_of
-from silem.util.errors import SilemError, check_name, choose, clipped
+from silem.util.errors import COUNT, FACTOR, NUMBER, RATE, WEIGHT, SilemError, check_name, choose
 
 HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
@@ -53,8 +50,8 @@ _TRANSFORMED = tuple(name for name, method in METHODS.items() if method.transfor
 def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: Any) -> Any:
     """Declare who uses a hyper-parameter, its default and where that is from ("": open).
 
-    Rules: ``choices``, ``zero`` (allowed), ``most``, ``signed``, ``optional`` (at its default it is
-    no part of a run's identity).
+    Rules: ``choices``; ``kind`` of number, where it is neither a count nor a rate; ``optional``, at
+    its default it is no part of a run's identity.
     """
     return field(default=default, metadata={"methods": methods, "source": source, **rules})
 
@@ -67,7 +64,7 @@ _ROW = "supplement, SILEM's best combination for HC0"
 
 @dataclass(frozen=True)
 class HyperParameters:
-    """Every hyper-parameter of learning; a method uses some of them (see `names_used_by`).
+    """Every hyper-parameter of learning; a method uses some of them (see `used_by`).
 
     Raises SilemError: a value of another type, or out of range.
     """
@@ -75,8 +72,8 @@ class HyperParameters:
     # The learning rate falls linearly to 0.
     learning_rate: float = _used_by(_LEARNERS, _PPO["learning_rate"], _COMMON)
     clip_range: float = _used_by(_LEARNERS, _PPO["clip_range"], _COMMON)
-    gamma: float = _used_by(_LEARNERS, _PPO["gamma"], _COMMON, most=1.0)
-    gae_lambda: float = _used_by(_LEARNERS, _PPO["gae_lambda"], _COMMON, most=1.0)
+    gamma: float = _used_by(_LEARNERS, _PPO["gamma"], _COMMON, kind=FACTOR)
+    gae_lambda: float = _used_by(_LEARNERS, _PPO["gae_lambda"], _COMMON, kind=FACTOR)
     n_epochs: int = _used_by(_LEARNERS, _PPO["n_epochs"], _COMMON)  # N_P
     minibatch_size: int = _used_by(_LEARNERS, _PPO["minibatch_size"], _COMMON)  # N_Pmb
     adam_eps: float = _used_by(_LEARNERS, 1e-5, "OpenAI baselines, as the supplement says")
@@ -84,7 +81,7 @@ class HyperParameters:
         _LEARNERS, tuple(paper.number("policy_hidden")), _TEXT
     )
     # logarithm of the policy's standard deviation at the start
-    log_std_init: float = _used_by(_LEARNERS, 0.0, optional=True, signed=True)
+    log_std_init: float = _used_by(_LEARNERS, 0.0, optional=True, kind=NUMBER)
     # how the rollout treats PPO's own choices, see "Deviations"
     anneal_clip: bool = _used_by(_LEARNERS, False, optional=True)
     clip_actions: bool = _used_by(_LEARNERS, True, optional=True)
@@ -93,20 +90,23 @@ class HyperParameters:
     n_trajectories: int = _used_by(IMITATORS, _BEST["n_trajectories"], _ROW)  # n
     n_disc_updates: int = _used_by(IMITATORS, _BEST["n_disc_updates"], _ROW)  # N_D
     n_transform_updates: int = _used_by(_TRANSFORMED, _BEST["n_transform_updates"], _ROW)  # N_G
-    transform_lr_decay: float = _used_by(
-        _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, most=1.0
-    )  # d
+    transform_lr_decay: float = _used_by(  # d
+        _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, kind=FACTOR
+    )
     disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
     transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-4)
-    disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", zero=True)
-    gradient_penalty: float = _used_by(IMITATORS, 1.0, zero=True)  # 0 switches it off
+    disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", kind=WEIGHT)
+    gradient_penalty: float = _used_by(IMITATORS, 1.0, kind=WEIGHT)  # 0 switches it off
+    transform_components: int = _used_by(  # K; more than one are an ensemble
+        ("silem",), 1, optional=True
+    )
     # Of the humanoids alone; 0 where they do not apply.
-    transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_d
-    transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, zero=True)  # w_b
+    transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_d
+    transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_b
     transform_l2_form: str = _used_by(
         ("silem",), "deviation", optional=True, choices=("deviation", "plain")
     )
-    gradient_reversal_coef: float = _used_by(("tpil",), 1.0, zero=True)  # C_g
+    gradient_reversal_coef: float = _used_by(("tpil",), 1.0, kind=WEIGHT)  # C_g
     encoder_layers: int = _used_by(("tpil",), 1, optional=True)
     # What episodes of a humanoid start from: the standing pose with small noise, or states of the
     # demonstration retargeted to the learner's body, which the paper argues against needing.
@@ -138,38 +138,23 @@ class HyperParameters:
         }
 
 
-LARGEST = 10**9
-"""More of anything cannot be run through."""
-
-
-def _count(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
-        raise SilemError(
-            f"{name} must be a positive whole number up to {LARGEST}, not {clipped(repr(value))}"
-        )
-    return value
-
-
 def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     """Return a hyper-parameter's value in its field's type, or raise SilemError."""
-    name, default, rule = item.name, item.default, item.metadata
-    if "choices" in rule:
-        return choose(name, value, rule["choices"])
-    if isinstance(default, bool) and isinstance(value, bool):
+    name, rule = item.name, item.metadata
+    default: Any = item.default
+    if choices := rule.get("choices"):
+        return choose(name, value, choices)
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise SilemError(f"{name} must be True or False, not {value!r}")
         return value
-    if isinstance(default, tuple) and isinstance(value, list | tuple) and value:
-        return tuple(_count(f"each size in {name}", size) for size in value)
-    if isinstance(default, bool | tuple):
-        kind = "a list of layer sizes" if isinstance(default, tuple) else "True or False"
-        raise SilemError(f"{name} must be {kind}, not {value!r}")
-    if isinstance(default, int):
-        return _count(name, value)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SilemError(f"{name} must be a number, not {value!r}")
-    enough = "signed" in rule or value > 0 or (value == 0 and "zero" in rule)
-    if not enough or not value <= rule.get("most", value) or abs(value) > sys.float_info.max:
-        raise SilemError(f"{name} is out of range: {clipped(repr(value))}")
-    return float(value)
+    sizes = isinstance(default, tuple)
+    if sizes and not (isinstance(value, list | tuple) and value):
+        raise SilemError(f"{name} must be a list of layer sizes, not {value!r}")
+    kind = rule.get("kind", RATE if isinstance(default, float) else COUNT)
+    for number in value if sizes else (value,):
+        kind.check(f"each size in {name}" if sizes else name, number)
+    return type(default)(value)
 
 
 @dataclass(frozen=True)
@@ -186,9 +171,9 @@ class Budget:
 
     def __post_init__(self) -> None:
         check_name("budget", self.name)
-        for item in dataclasses.fields(self):
-            if item.name != "name":
-                _count(f"budget {item.name}", getattr(self, item.name))
+        for name, count in vars(self).items():
+            if name != "name":
+                COUNT.check(f"budget {name}", count)
         if self.steps_per_iteration % self.n_envs:
             raise SilemError(
                 f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
@@ -210,7 +195,7 @@ class Budget:
         """Name of the budget that this one is, or that it has other iterations than."""
         return self.name.partition("-")[0]
 
-    def with_iterations(self, n_iterations: int) -> Budget:
+    def with_iterations(self, n_iterations: int) -> "Budget":
         """Return this budget with another number of iterations, and a name that says so."""
         return dataclasses.replace(
             self, name=f"{self.name}-{n_iterations}", n_iterations=n_iterations
@@ -361,10 +346,11 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not chosen.endswith(f"_on_{body}"):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
-    runner, known = original in bodies.names(), bodies.names()
-    if wanted and runner and expert_of(wanted)[0] not in known and not file_of(wanted).exists():
+    if wanted and original in bodies.names() and not file_of(wanted).exists():
         # to be recorded: a body's demonstrator, or one trial's expert ("HC0_s3")
-        choose("demonstrations", expert_of(wanted)[0], known)
+        expert = expert_of(wanted)[0]
+        if not bodies.exists(expert):
+            choose("demonstrations", expert, bodies.names())
     if not wanted and family not in FAMILIES:
         raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
     return wanted or original

@@ -1,7 +1,5 @@
 """Studies: which runs the figures are made of."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +8,7 @@ from typing import Any, NamedTuple
 
 from silem import paper
 from silem.study import runs
-from silem.study.config import TRIAL_SEEDS, RunConfig
+from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, Budget, HyperParameters, budget_named
 from silem.util import seeding
 from silem.util.errors import SilemError, choose
@@ -47,6 +45,11 @@ class Study:
     cells: tuple[Cell, ...]  # experts first
     seeds: tuple[int, ...]  # the trials' root seeds, fixed before any run was made
     about: str
+
+    @property
+    def made(self) -> set[tuple[str, str]]:
+        """Its methods and bodies."""
+        return {(cell.method, cell.body) for cell in self.cells}
 
 
 STUDIES: dict[str, Study] = {}
@@ -194,14 +197,83 @@ _define(
     seeds=TRIAL_SEEDS[:1],
 )
 
+# ---------------------------------------------------------------- beyond the paper
+
+# What a study plans here is what the paper's own studies lack: the pages read both. Bodies that a
+# name describes take HC0's settings, so that nothing but the length differs along a ladder.
+TORSOS = tuple(f"HC-{1 + i / 4:g}" for i in range(1, 9))
+"""HalfCheetahs with torsos of 1.25 to 3 m; that of 1 m is HC0."""
+SLOPES_DEG = (2.5, 5.0, 10.0, 15.0)
+
+
+def _ladder(bodies: tuple[str, ...], original: str, others: tuple[str, ...]) -> list[Any]:
+    """Return the cells of bodies that are new, with experts of their own, and TPIL's of others."""
+    return [
+        *(("ppo", body) for body in bodies),
+        *(("silem-minus-own", body, body) for body in bodies),
+        *((method, body, original) for body, method in product(bodies, (*_BOTH, "tpil"))),
+        *(("tpil", body, original) for body in others),
+    ]
+
+
+def _slopes(body: str) -> tuple[str, ...]:
+    return tuple(f"{body}-slope-{degrees:g}" for degrees in SLOPES_DEG)
+
+
+_define(
+    "ladder",
+    "HalfCheetah's torso from 1 to 3 m in steps of 0.25 m: where does each method break?",
+    *_ladder(TORSOS, "HC0", ("HC0",)),
+    seeds=TRIAL_SEEDS[:2],
+)
+_define(
+    "ladder-ant",
+    "Ant's links beyond the paper's, to 0.6",
+    *_ladder(("Ant-0.55", "Ant-0.6"), "Ant0", _ANTS),
+    seeds=TRIAL_SEEDS[:2],
+)
+_define(
+    "slope",
+    "the conjecture: demonstrations on flat ground, learners that run uphill",
+    *(
+        (method, body, original)
+        for original in ("HC0", "Ant0")
+        for body, method in product(_slopes(original), _BOTH)
+    ),
+    seeds=TRIAL_SEEDS[:3],
+)
+_define(
+    "slope-humanoid",
+    "the conjecture, as the paper words it: a human walks on flat ground, a humanoid uphill",
+    *((m, b, None, _LARGER_STEPS) for b, m in product(_slopes("Humanoid"), _BOTH)),
+    seeds=TRIAL_SEEDS[:1],
+)
+_define(
+    "ensembles",
+    "K affine transforms behind a gate, where the MLP fooled D, and where one map is least enough",
+    *(
+        ("silem", body, original, (("transform_components", count),))
+        for body, original in (("HC0", "HC0"), ("HC2", "HC0"), ("Ant6", "Ant0"))
+        for count in (2, 4, 8)
+    ),
+    seeds=TRIAL_SEEDS[:3],
+)
+_define(
+    "arm-lengths",
+    "one policy for a humanoid whose right arm has another length in each environment",
+    ("silem", "Humanoid-arm-0.5-1.5", None, _LARGER_STEPS),
+    seeds=TRIAL_SEEDS[:2],
+)
+
 # The search of the settings that the paper leaves open, in stages: each stage starts from what the
 # one before chose, and is added here, with what it starts from, before its runs are made. Both
 # methods get the same number of runs. The rule for choosing: highest mean over HC1 and HC2 of the
 # return over the mean return of the body's five experts; within 2 % of the best, the value that is
 # nearer to the paper's, else to the default (page "How the open settings were found").
 _RATE_1 = ("transform_learning_rate", 1e-5)  # what stage 1 chose for T
-# ... and for SILEM-minus: 0.1 is the best; 0.3 is as good, but the paper has no penalty, that is 0
-_PENALTY_1 = ("gradient_penalty", 0.1)
+# ... and for SILEM-minus: 0.1 is the best; 0.3 is as good, but the paper has no penalty, that is 0.
+# SILEM's stage 2 chose the same penalty, and no L2.
+_PENALTY = ("gradient_penalty", 0.1)
 _SEARCHED: tuple[tuple[str, Settings], ...] = (
     # 1. T's rate, and what SILEM-minus has in its place: D's penalty and rate
     *(("silem", (("transform_learning_rate", rate),)) for rate in (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)),
@@ -213,9 +285,11 @@ _SEARCHED: tuple[tuple[str, Settings], ...] = (
         ("silem", (_RATE_1, ("transform_l2_scale", weight), ("transform_l2_bias", weight)))
         for weight in (1.0, 10.0)
     ),
-    ("silem", (_RATE_1, ("gradient_penalty", 0.1))),
-    *(("silem-minus", (_PENALTY_1, ("disc_learning_rate", rate))) for rate in (3e-4, 3e-3)),
+    ("silem", (_RATE_1, _PENALTY)),
+    *(("silem-minus", (_PENALTY, ("disc_learning_rate", rate))) for rate in (3e-4, 3e-3)),
     ("silem-minus", (("gradient_penalty", 0.03),)),
+    # 3. the entropy bonus of D; SILEM-minus: when its stage 2 is done
+    *(("silem", (_RATE_1, _PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
 )
 _define(
     "open-settings",
@@ -253,7 +327,7 @@ def study_of(name: str) -> Study:
     best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
     order = seeding.generator(0, "search").permutation(len(points))
     points = sorted((points[i] for i in order), key=lambda point: point != best)
-    given, label = dict(cell.overrides), f"search-{study}-{cell.body}-{cell.method}"
+    given, label = dict(cell.overrides), f"{SEARCH}{study}-{cell.body}-{cell.method}"
     cells = (
         dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
         for point in points
@@ -286,10 +360,8 @@ def study_configs(
     """Return the runs of a study or search: the first trial of every cell before any second.
 
     Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
-    cells alone; `n_trials` None means as many as the budget and the study have.
-
-    Raises:
-        SilemError: An unknown study or budget, or more trials than there are fixed seeds.
+    cells alone; `n_trials` None means as many as the budget and the study have. Raises SilemError:
+    an unknown study or budget, or more trials than there are fixed seeds.
     """
     budget = budget_named(budget)
     kept, seeds = cells(study)[:sample], seeds_of(study, budget, n_trials)
@@ -308,20 +380,46 @@ class Ranked(NamedTuple):
     returns: tuple[float, ...]  # of the trials
     run_ids: tuple[str, ...]
     is_papers: bool  # whether it is the supplement's best combination
+    fresh: tuple[float, ...]  # returns of trials on the seeds that the search has not used
 
 
-def ranking(study: str, budget: str | Budget, n_trials: int | None = None) -> list[Ranked]:
+def ranking(
+    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
+) -> list[Ranked]:
     """Rank the configurations of a search of which all trials are finished, the best first.
 
-    The score is the supplement's: the mean over the trials of what the trained policy returns.
+    The score is the supplement's: the mean over the trials of what the trained policy returns. The
+    arguments are those of `study_configs`.
     """
     budget, found = budget_named(budget), []
-    seeds, searched = seeds_of(study, budget, n_trials), cells(study)
+    n, searched = len(seeds_of(study, budget, n_trials)), cells(study)[:sample]
     for cell in searched:
-        ids = tuple(cell.config(budget, seed).run_id for seed in seeds)
-        records = [record for run_id in ids if (record := runs.find(run_id))]
-        if len(records) == len(seeds):
-            returns = tuple(float(record.evaluation["return_mean"]) for record in records)
-            score, best = sum(returns) / len(returns), cell is searched[0]
-            found.append(Ranked(dict(cell.overrides), score, returns, ids, best))
+        ids = tuple(cell.config(budget, seed).run_id for seed in SEARCH_SEEDS)
+        used, fresh = (
+            tuple(float(r.evaluation["return_mean"]) for run_id in some if (r := runs.find(run_id)))
+            for some in (ids[:n], ids[n:])
+        )
+        if len(used) == n:
+            best = cell is searched[0]
+            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, ids[:n], best, fresh))
     return sorted(found, key=lambda entry: -entry.score)
+
+
+def fresh_configs(
+    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
+) -> list[RunConfig]:
+    """Return a search's winner, and the supplement's best, on the seeds that it has not used.
+
+    The winner's own trials flatter it, for they have chosen it. Raises SilemError: the search is
+    not finished, or has used all seeds.
+    """
+    budget = budget_named(budget)
+    ranked = ranking(study, budget, n_trials, sample)
+    used, searched = seeds_of(study, budget, n_trials), cells(study)[:sample]
+    if len(ranked) < len(searched):
+        told = f"{len(ranked)} of {len(searched)} configurations have all their trials"
+        raise SilemError(f"the winner of {study} is not known yet: {told}")
+    if len(used) == len(SEARCH_SEEDS):
+        raise SilemError(f"{study} has no fresh seeds: its {len(used)} trials have used all")
+    chosen = [c for c in searched if c is searched[0] or dict(c.overrides) == ranked[0].settings]
+    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[len(used) :] for cell in chosen]

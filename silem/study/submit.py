@@ -4,8 +4,6 @@ A scheduler only starts loops and starts them again; what there is to do they fi
 folder, which all machines must share.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 import subprocess
@@ -13,8 +11,8 @@ import sys
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from silem.study.work import STOPPED, environment
 from silem.util import paths
@@ -36,7 +34,7 @@ class Options:
     scheduler: str = ""  # Dask's address, say "tcp://10.0.0.1:8786"
 
     @classmethod
-    def load(cls, path: Path | None) -> Options:
+    def load(cls, path: Path | None) -> "Options":
         """Read options; None gives the defaults.
 
         Raises SilemError: the file cannot be read, or a key is unknown or of another type; the
@@ -63,52 +61,8 @@ class Options:
         return cls(**given)
 
 
-# `wait` is cut short by a signal that is trapped, hence twice. A loop that ends for want of time
-# queues again; one that is cancelled does not, and one that is preempted is queued by SLURM.
-_SLURM = """\
-#!/bin/bash
-#SBATCH --job-name=silem
-#SBATCH --array=1-{jobs}
-#SBATCH --cpus-per-task=1
-#SBATCH --mem={memory_mb}M
-#SBATCH --time={minutes}
-#SBATCH --signal=B:USR1@{margin_s}
-#SBATCH --requeue
-#SBATCH --open-mode=append
-#SBATCH --output={logs}/slurm-%A_%a.txt
-{lines}
-{setup}
-{loop} &
-trap 'kill -TERM $!' USR1
-trap 'cancelled=yes; kill -TERM $!' TERM
-wait $!; code=$?
-[ $code -gt 128 ] && {{ wait $!; code=$?; }}
-[ $code -eq {stopped} ] && [ -z "$cancelled" ] && scontrol requeue "$SLURM_JOB_ID"
-exit $code
-"""
-_HTCONDOR = """\
-universe = vanilla
-executable = /bin/bash
-arguments = "-c '{quoted}'"
-request_cpus = 1
-request_memory = {memory_mb} MB
-should_transfer_files = NO
-kill_sig = SIGTERM
-max_retries = {again}
-retry_until = ExitCode =!= {stopped}
-output = {logs}/htcondor-$(Cluster)_$(Process).txt
-error = {logs}/htcondor-$(Cluster)_$(Process).txt
-log = {logs}/htcondor-$(Cluster).log
-{lines}
-queue {jobs}
-"""
-_DASK = "{setup}\nexec {loop} --with-input\n"
-ENGINES = {
-    "slurm": (_SLURM, ("sbatch",)),
-    "htcondor": (_HTCONDOR, ("condor_submit", "-")),
-    "dask": (_DASK, ()),
-}
-"""By name: what an engine is given, and the command that it is piped into."""
+ENGINES = {"slurm": ("sbatch",), "htcondor": ("condor_submit", "-"), "dask": ()}
+"""By name: the command into which is piped what the template of that name beside this says."""
 
 
 def submission(engine: str, words: Sequence[str], options: Options) -> str:
@@ -117,7 +71,7 @@ def submission(engine: str, words: Sequence[str], options: Options) -> str:
     `words` are what follows ``silem`` on a loop's command line. Raises SilemError: such an engine
     is not known.
     """
-    text, _ = ENGINES[choose("engine", engine, ENGINES)]
+    text = Path(__file__).with_name(f"{choose('engine', engine, ENGINES)}.template").read_text()
     minutes = max(1, options.minutes - -(-options.margin_s // 60))
     words = [sys.executable, "-m", "silem", *words, "--minutes", str(minutes), "--quiet"]
     exports = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
@@ -138,7 +92,7 @@ def submit(engine: str, words: Sequence[str], options: Options) -> str:
     """
     text = submission(engine, words, options)
     (paths.runs_dir() / "log").mkdir(parents=True, exist_ok=True)
-    if not (command := ENGINES[engine][1]):
+    if not (command := ENGINES[engine]):
         return _to_dask(text, options)
     try:
         done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
@@ -164,11 +118,8 @@ def _to_dask(script: str, options: Options) -> str:
     except (OSError, ValueError) as error:
         raise SilemError(f"no Dask scheduler at {options.scheduler}: {reason(error)}") from error
     codes: list[int] = []
+    hand_over = partial(client.submit, loop_on_dask, script, pure=False)
     with client:
-
-        def hand_over() -> Any:
-            return client.submit(loop_on_dask, script, pure=False)
-
         going = distributed.as_completed([hand_over() for _ in range(options.jobs)])
         for future in going:
             lost = future.status != "finished"  # with the worker that it was on

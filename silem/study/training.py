@@ -1,7 +1,5 @@
 """Building a run's model, and training it in segments between checkpoints."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -36,6 +34,7 @@ from silem.util.errors import SilemError, reason
 
 _PROGRESS_EVERY_S = 2.0
 _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
+_TEXTS = ("run_id", "demonstrations_sha256")  # of a checkpoint's metadata; the others are JSON
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 
 
@@ -134,9 +133,10 @@ def settings(
 def make_model(config: RunConfig, env: VecEnv, demonstrations: Demonstrations | None) -> PPO:
     """Build the untrained model of a run of any method but ``random``."""
     make: Any = _ALGORITHMS[METHODS[config.method].algorithm]
+    settings = arguments(config)
     if not demonstrations:
-        return make("MlpPolicy", env, **arguments(config))
-    shown, settings = demonstrations.first(config.hyper.n_trajectories), arguments(config)
+        return make("MlpPolicy", env, **settings)
+    shown = demonstrations.first(config.hyper.n_trajectories)
     if config.hyper.absorbing_states:  # of the expert's episodes, those that no time limit cut
         settings["absorbing_states"] = [
             bool(shown.expert_run_id) and len(states) <= config.learner.max_steps
@@ -168,7 +168,7 @@ class Checkpoint:
     )
 
     @classmethod
-    def start(cls, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+    def start(cls, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
         """Return what a run starts from that has not begun."""
         no_curve = np.empty((0, len(CURVE_COLUMNS)))
         return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
@@ -191,19 +191,13 @@ class Checkpoint:
                 )
         arrays = {_MODEL + name: array for name, array in self.model.items()}
         arrays[_CURVE] = self.curve
-        metadata = {
-            "run_id": self.run_id,
-            "iteration": str(self.iteration),
-            "wall_time_s": repr(self.wall_time_s),
-            "processor_time_s": json.dumps(self.processor_time_s),
-            "commits": json.dumps(self.commits),
-            "demonstrations_sha256": self.demonstrations_sha256,
-        }
+        told = {n: v for n, v in vars(self).items() if n not in ("curve", "model", "began")}
+        metadata = {n: v if n in _TEXTS else json.dumps(v) for n, v in told.items()}
         metadata[_SHA256] = _digest(arrays, metadata)
         files.write_tensors(path, arrays, metadata)
 
     @classmethod
-    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> Checkpoint:
+    def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
         """Read a checkpoint of a given run.
 
         Raises SilemError: the file is damaged, another run's, or was made with other
@@ -213,16 +207,11 @@ class Checkpoint:
             arrays, metadata = files.read_tensors(path)
             if metadata.pop(_SHA256, "") != _digest(arrays, metadata):
                 raise SilemError(f"the checksum of {path} differs")
-            found = cls(
-                metadata["run_id"],
-                int(metadata["iteration"]),
-                float(metadata["wall_time_s"]),
-                json.loads(metadata["processor_time_s"]),
-                tuple(json.loads(metadata["commits"])),
-                metadata["demonstrations_sha256"],
-                arrays.pop(_CURVE),
-                {name.removeprefix(_MODEL): array for name, array in arrays.items()},
-            )
+            told: dict[str, Any]
+            told = {n: t if n in _TEXTS else json.loads(t) for n, t in metadata.items()}
+            told["commits"], curve = tuple(told["commits"]), arrays.pop(_CURVE)
+            model = {name.removeprefix(_MODEL): array for name, array in arrays.items()}
+            found = cls(**told, curve=curve, model=model)
             if found.run_id != config.run_id:
                 raise SilemError(f"{path} is a checkpoint of {found.run_id}, not {config.run_id}")
             if found.demonstrations_sha256 != demonstrations_sha256:
@@ -250,7 +239,7 @@ class Segments(BaseCallback):
     """Cuts a training into segments, keeps its learning curve and shows progress (see `train`)."""
 
     def __init__(
-        self, config: RunConfig, folder: Path, start: Checkpoint, bar: tqdm[Any], until: float
+        self, config: RunConfig, folder: Path, start: Checkpoint, bar: "tqdm[Any]", until: float
     ) -> None:
         super().__init__()
         self._config, self._folder, self._start, self._bar = config, folder, start, bar
@@ -264,23 +253,17 @@ class Segments(BaseCallback):
         """The learning curve so far, (iterations, columns)."""
         return np.array(self._rows).reshape(-1, len(CURVE_COLUMNS))
 
-    @property
-    def _ppo(self) -> PPO:
-        return cast(PPO, self.model)
-
-    def _iteration(self) -> int:
-        return self.model.num_timesteps // self._config.budget.steps_per_iteration
-
     def _on_rollout_start(self) -> None:
-        iteration, seed, model = self._iteration(), self._config.seed, self._ppo
+        seed, env, model = self._config.seed, self.training_env, cast(PPO, self.model)
+        iteration = model.num_timesteps // self._config.budget.steps_per_iteration
         due = iteration % self._config.budget.checkpoint_every == 0
         self._end_iteration(save=due)
         if due:  # begin a segment
-            self.training_env.seed(seeding.child_seed(seed, "env", iteration))
+            env.seed(seeding.child_seed(seed, "env", iteration))
             # As at learn()'s start; an imitation learner sees by the episode starts that all its
             # windows begin anew.
-            model._last_obs = np.asarray(self.training_env.reset())
-            model._last_episode_starts = np.ones(self.training_env.num_envs, dtype=bool)
+            model._last_obs = np.asarray(env.reset())
+            model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
             model.reseed(seeding.child_seed(seed, "model", iteration))
 
     def _on_step(self) -> bool:
@@ -291,34 +274,28 @@ class Segments(BaseCallback):
 
     def _end_iteration(self, *, save: bool) -> None:
         """Keep the numbers of the iteration that has just been finished, if any was."""
-        iteration, stats = self._iteration(), self._ppo.iteration_stats
+        model, budget = cast(PPO, self.model), self._config.budget
+        iteration, stats = model.num_timesteps // budget.steps_per_iteration, model.iteration_stats
         if iteration == self._start.iteration:
             return
-        self._rows.append(curve_row(iteration, self.model.num_timesteps, stats))
+        self._rows.append(curve_row(iteration, model.num_timesteps, stats))
         self._bar.update()
         self._return = stats.get("return_mean", self._return)  # most iterations end no episode
-        if save or time.monotonic() - self._shown > _PROGRESS_EVERY_S:
-            self._show(iteration)
+        spent, now = self._start.spent(), time.monotonic()
+        if save or now - self._shown > _PROGRESS_EVERY_S:
+            self._shown = now
+            if self._return is not None:
+                self._bar.set_postfix_str(f"return {self._return:.0f}")
+            said = spent | {"n_iterations": budget.n_iterations, "return": self._return}
+            files.write_json(self._folder / PROGRESS, said | {"iteration": iteration})
         if save:
-            arrays, spent = self._ppo.state_arrays(), self._start.spent()
-            now = dict(iteration=iteration, curve=self.curve, model=arrays, **spent)
-            dataclasses.replace(self._start, **now).save(self._folder / CHECKPOINT)
+            arrays = model.state_arrays()
+            reached = spent | {"iteration": iteration, "curve": self.curve, "model": arrays}
+            dataclasses.replace(self._start, **reached).save(self._folder / CHECKPOINT)
             segment_s = time.monotonic() - self._saved
             self._saved += segment_s
             if self._saved + segment_s > self._until:
                 raise KeyboardInterrupt("time is up")
-
-    def _show(self, iteration: int) -> None:
-        self._shown = time.monotonic()
-        if self._return is not None:
-            self._bar.set_postfix_str(f"return {self._return:.0f}")
-        content = {
-            "iteration": iteration,
-            "n_iterations": self._config.budget.n_iterations,
-            "return": self._return,
-            "wall_time_s": self._start.spent()["wall_time_s"],
-        }
-        files.write_json(self._folder / PROGRESS, content)
 
 
 def train(

@@ -1,10 +1,8 @@
 """Is a record what it says it is? What it holds is checked, and its policy is evaluated anew."""
 
-from __future__ import annotations
-
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
@@ -13,21 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from silem.motion import demonstrations as demos
+from silem.study import record as records
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.record import (
-    ALWAYS,
-    CURVE,
-    CURVE_COLUMNS,
-    MAX_ROWS,
-    PACKAGES,
-    POLICY,
-    RECORD,
-    TRANSFORM,
-    RunRecord,
-    git,
-    provenance,
-)
-from silem.study.settings import IMITATORS, Budget
+from silem.study.record import CURVE, POLICY, TRANSFORM, RunRecord, git, provenance
+from silem.study.settings import IMITATORS
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
@@ -40,8 +27,8 @@ TOLERANCE = 5.0
 then differ from the recorded one by so many standard errors of the difference."""
 # What code raises that takes a record's content for what it should be.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-# older records did not count it; no episode need end while an imitator learns
-_MAY_LACK = ("processor_time_s", "disc_reward_last")
+# older records did not count them; no episode need end while an imitator learns
+_MAY_LACK = ("processor_time_s", "steps_mean", "disc_reward_last")
 _ROUNDING = 1e-3  # single returns are recorded with three digits after the point
 
 
@@ -68,8 +55,7 @@ def check(folder: Path, *, with_files: bool = True) -> RunRecord:
     """
     record = RunRecord.load(folder)
     try:
-        faults = itertools.chain(_faults(record, folder.name), _faults_of_files(record, with_files))
-        if fault := next(faults, ""):
+        if fault := next(_faults(record, folder.name, with_files), ""):
             raise SilemError(fault)
     except SilemError as error:
         raise SilemError(f"{folder}: {error}") from error
@@ -78,7 +64,7 @@ def check(folder: Path, *, with_files: bool = True) -> RunRecord:
     return record
 
 
-def _faults(record: RunRecord, name: str) -> Iterator[str]:
+def _faults(record: RunRecord, name: str, with_files: bool) -> Iterator[str]:
     """Yield what is wrong with a record of that name, each in the knowledge of what precedes."""
     config, evaluation, training = record.run_config(), record.evaluation, record.training
     if not config.run_id == record.run_id == name:
@@ -94,6 +80,16 @@ def _faults(record: RunRecord, name: str) -> Iterator[str]:
         if abs(float(found) - evaluation[f"return_{kind}"]) > _ROUNDING:
             yield f"return_{kind} is not the {kind} of the episodes' returns"
     yield from _faults_of_numbers(record, config)
+    if record.status != "finished":
+        yield f"status is {record.status!r}; a record is of a finished run"
+    if (record.demonstrations_sha256 is None) != (not config.demonstrations):
+        yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
+    expected = [] if config.method == "random" else [CURVE, POLICY]
+    expected += [TRANSFORM] if config.transform == "affine" else []
+    if sorted(record.files) != expected:
+        yield f"it has the files {sorted(record.files)}; expected: {expected}"
+    if with_files:
+        yield from _faults_of_files(record, config)
 
 
 def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
@@ -107,6 +103,7 @@ def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
     for what, value, low, high, there in (
         ("upright", evaluation["upright"], 0.0, 1.0, told),
         ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S, told),
+        ("steps_mean", evaluation.get("steps_mean"), 1.0, max_steps, True),
         ("return_mean", evaluation["return_mean"], -math.inf, highest, True),
         ("disc_reward_mean", evaluation["disc_reward_mean"], 0.0, max_steps, imitates),
         ("disc_reward_last", training["disc_reward_last"], 0.0, max_steps, imitates),
@@ -123,34 +120,28 @@ def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
             yield f"{what} is {value:g}, but {config.method} has no discriminator"
 
 
-def _faults_of_files(record: RunRecord, wanted: bool) -> Iterator[str]:
-    config = record.run_config()
-    if record.status != "finished":
-        yield f"status is {record.status!r}; a record is of a finished run"
-    if (record.demonstrations_sha256 is None) != (not config.demonstrations):
-        yield f"demonstrations_sha256 is {record.demonstrations_sha256!r}"
-    expected = [] if config.method == "random" else [CURVE, POLICY]
-    expected += [TRANSFORM] if config.transform == "affine" else []
-    if sorted(record.files) != expected:
-        yield f"it has the files {sorted(record.files)}; expected: {expected}"
-    if wanted and POLICY in record.files:
+def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
+    if POLICY in record.files:
         _, about = files.read_tensors(record.file(POLICY))
         if about.get("run_id") != record.run_id:
             yield f"{POLICY} is the policy of {about.get('run_id')!r}"
-        curve = files.read_csv(record.file(CURVE))
-        yield from _faults_of_curve(curve, config.budget, config.learner.max_steps)
-    if wanted and TRANSFORM in record.files:
+        yield from _faults_of_curve(files.read_csv(record.file(CURVE)), config)
+    if TRANSFORM in record.files:
         arrays = files.read_npz(record.file(TRANSFORM))
         shapes = {name: array.shape for name, array in arrays.items()}
-        if sorted(shapes) != ["A", "b"] or shapes["A"] != shapes["b"] or len(shapes["A"]) != 1:
-            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each"
+        size, count = shapes.get("A", ()), config.hyper.transform_components
+        wanted_shapes = {"A": size, "b": size}
+        if count > 1:  # an ensemble, of which A and b are the means
+            several = dict.fromkeys(("scale", "offset", "gate.weight"), (count, *size))
+            wanted_shapes |= several | dict.fromkeys(("gate.bias", "shares"), (count,))
+        if shapes != wanted_shapes or len(size) != 1:
+            yield f"{TRANSFORM} holds {shapes}; expected: A and b, (F,) each, {count} map(s)"
         if not all(np.isfinite(array).all() for array in arrays.values()):
             yield f"{TRANSFORM} holds NaN or infinity"
 
 
-def _faults_of_curve(
-    columns: dict[str, np.ndarray], budget: Budget, max_steps: int
-) -> Iterator[str]:
+def _faults_of_curve(columns: Mapping[str, np.ndarray], config: RunConfig) -> Iterator[str]:
+    budget, max_steps = config.budget, config.learner.max_steps
     ranges = {
         "speed_m_s": (-FASTEST_M_S, FASTEST_M_S),
         "disc_reward": (0, max_steps),
@@ -162,13 +153,12 @@ def _faults_of_curve(
         known = values[~np.isnan(values)]
         if np.isinf(known).any() or (known < low).any() or (known > high).any():
             yield f"{CURVE}: {name} can be {low:g} to {high:g}"
-    if {*CURVE_COLUMNS[:ALWAYS]} - columns.keys() or list(columns) != [
-        name for name in CURVE_COLUMNS if name in columns
-    ]:
+    always, ordered = records.CURVE_COLUMNS[: records.ALWAYS], records.CURVE_COLUMNS
+    if {*always} - columns.keys() or [*columns] != [name for name in ordered if name in columns]:
         yield f"{CURVE} has the columns {', '.join(columns)}"
     iterations = columns["iteration"]
     if (
-        not 1 <= len(iterations) <= MAX_ROWS
+        not 1 <= len(iterations) <= records.MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
         or not np.array_equal(columns["timesteps"], iterations * budget.steps_per_iteration)
@@ -193,7 +183,7 @@ def check_source(record: RunRecord) -> None:
             if width != there.n_features:
                 raise SilemError(f"{TRANSFORM} is of {width} features, not {there.n_features}")
     source = record.provenance
-    if config.budget.is_evidence and (history := _history()) is not None:
+    if config.is_published and (history := _history()) is not None:
         for commit in (source.get("git_commit"), *(source.get("earlier_commits") or ())):
             if commit not in history:
                 raise SilemError(f"{record.run_id} names commit {commit}, which is not in history")
@@ -212,7 +202,7 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
 
     Evaluations have fixed seeds, and each environment's number of episodes is fixed beforehand. So
     the same batch, stopped after `n_episodes`, meets the recorded episodes in the recorded order;
-    all of them also verify speed and share upright, none leaves the policy alone.
+    all of them also verify speed, length and share upright, none leaves the policy alone.
 
     Returns:
         `EXACT` if every return is the recorded one. `WITHIN` if they are not, the record's
@@ -224,15 +214,14 @@ def verify(folder: Path, n_episodes: int = N_EPISODES) -> Verdict:
         check_source(record)
         if n_episodes < 1:
             return Verdict(record.run_id, SOUND, "its policy was not evaluated")
-        total = record.run_config().budget.n_eval_episodes
-        return _evaluated(record, min(n_episodes, total), total)
+        return Verdict(record.run_id, *_evaluated(record, n_episodes))
     except SilemError as error:
         return Verdict(folder.name, NOT, str(error))
     except _MALFORMED as error:
         return Verdict(folder.name, NOT, f"the record lacks or misstates {reason(error)}")
 
 
-def _evaluated(record: RunRecord, n: int, total: int) -> Verdict:
+def _evaluated(record: RunRecord, n_episodes: int) -> tuple[str, str]:
     import torch  # what follows needs physics and networks; what precedes does not
 
     from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
@@ -240,25 +229,29 @@ def _evaluated(record: RunRecord, n: int, total: int) -> Verdict:
 
     torch.set_num_threads(1)
     evaluation, config = record.evaluation, record.run_config()
-    policy, task = load_policy(record), task_options(config)
+    total = config.budget.n_eval_episodes
+    n, policy, task = min(n_episodes, total), load_policy(record), task_options(config)
     with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:
         there = list(itertools.islice(every, n))
     recorded = np.array(evaluation["returns"][:n])
     returns = np.array([round(episode.episode_return, 3) for episode in there])
     n_equal = int((returns == recorded).sum())
     same = n_equal == n
-    for name in ("speed_m_s", "upright") if n == total else ():
-        values, told = [getattr(episode, name) for episode in there], evaluation[name]
-        same &= set(values) == {None} if told is None else abs(np.mean(values) - told) <= 1e-9
+    told = {name: evaluation[name] for name in ("speed_m_s", "upright")}
+    if "steps_mean" in evaluation:
+        told["n_steps"] = evaluation["steps_mean"]
+    for name, mean in told.items() if n == total else ():
+        values = [getattr(episode, name) for episode in there]
+        same &= set(values) == {None} if mean is None else abs(np.mean(values) - mean) <= 1e-9
     why = f"{n_equal} of {n} returns equal, means {returns.mean():.1f} and {recorded.mean():.1f}"
     if same:
-        return Verdict(record.run_id, EXACT, why)
+        return EXACT, why
     if _made_here(record):
-        return Verdict(record.run_id, NOT, f"{why}, though processor and libraries are the same")
+        return NOT, f"{why}, though processor and libraries are the same"
     spread = max(evaluation["return_std"], float(returns.std()))
     bound = TOLERANCE * spread * math.sqrt(2 / n)
     outcome = WITHIN if abs(returns.mean() - recorded.mean()) <= bound else NOT
-    return Verdict(record.run_id, outcome, f"{why}, allowed {bound:.1f} apart")
+    return outcome, f"{why}, allowed {bound:.1f} apart"
 
 
 def _made_here(record: RunRecord) -> bool:
@@ -266,7 +259,7 @@ def _made_here(record: RunRecord) -> bool:
     here, there = provenance(), record.provenance
     machine, packages = there.get("machine") or {}, there["packages"]
     return all(here["machine"][key] == machine.get(key) for key in ("processor", "kernels")) and (
-        here["packages"] == {name: packages.get(name) for name in PACKAGES}
+        here["packages"] == {name: packages.get(name) for name in records.PACKAGES}
     )
 
 
@@ -275,7 +268,7 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
 
     Raises SilemError: there is nothing of this name.
     """
-    results = paths.data_dir() / "results"
+    results, record = paths.data_dir() / "results", records.RECORD
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
     for published in demos.manifest() if name is None else ():
@@ -285,10 +278,10 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
         except SilemError as error:
             outcome, why = NOT, str(error)
         yield Verdict(f"demonstrations {published}", outcome, why)
-    records = sorted(results.glob(f"{name or '*'}/*/{RECORD}"))
-    records = records or sorted(results.glob(f"*/{name}/{RECORD}"))
-    records = records or sorted(paths.runs_dir().glob(f"*/{name}/{RECORD}"))
-    if name is not None and not records:
+    found = sorted(results.glob(f"{name or '*'}/*/{record}"))
+    found = found or sorted(results.glob(f"*/{name}/{record}"))
+    found = found or sorted(paths.runs_dir().glob(f"*/{name}/{record}"))
+    if name is not None and not found:
         raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
-    for path in records:
+    for path in found:
         yield verify(path.parent, n_episodes)

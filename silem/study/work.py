@@ -4,8 +4,6 @@ The file system is the truth. A loop takes the next run whose lock is free; so a
 on any number of machines share a data folder, and any of them may die at any moment.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess
@@ -15,7 +13,6 @@ import traceback
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import product
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -81,16 +78,12 @@ def work(
     Always the first in the order given whose lock is free, whose experts are finished, which has
     not failed, and which can reach a checkpoint in the time left, as far as its speed is known.
 
-    Args:
-        configs: The runs, of all that share the work.
-        minutes: The time to work. A run under way stops at its last checkpoint within it.
-        progress: Show a bar for each run.
-        made: Called with the record of each run that this loop has finished.
+    `configs` are the runs of all that share the work; one under way stops at its last checkpoint
+    within the `minutes`. `progress` shows a bar for each run, `made` is called with the record of
+    each that this loop has finished.
 
-    Raises:
-        SilemError: As `check`, before anything starts; or some of the runs have failed, after all
-            others were made.
-        KeyboardInterrupt: On Ctrl-C or SIGTERM, or when time is up and runs are left.
+    Raises SilemError as `check`, before anything starts; or some of the runs have failed, after all
+    others were made. Raises KeyboardInterrupt on Ctrl-C or SIGTERM, or when time is up.
     """
     until = time.monotonic() + 60.0 * minutes
     try:
@@ -100,7 +93,7 @@ def work(
                 pass
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(f"{str(interrupt) or 'stopped'}; {_GOES_ON}") from None
-    raise_failures(configs)
+    failed(configs, refuse=True)
 
 
 def _pass(
@@ -151,21 +144,17 @@ def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
         return None
 
 
-def failed(configs: Sequence[RunConfig]) -> dict[str, str]:
-    """Return why runs have failed, by run id."""
+def failed(configs: Sequence[RunConfig], *, refuse: bool = False) -> dict[str, str]:
+    """Return why runs have failed, by run id; to `refuse` raises SilemError if any has."""
     reasons = {}
     for config in configs:
         with suppress(FileNotFoundError):
             text = (runs.run_folder(config) / runs.FAILED).read_text(errors="replace")
             reasons[config.run_id] = reason(ValueError(text))
-    return reasons
-
-
-def raise_failures(configs: Sequence[RunConfig]) -> None:
-    """Raise SilemError if any of the runs has failed."""
-    if failures := failed(configs):
-        told = "; ".join(f"{name} failed: {why}" for name, why in failures.items())
+    if refuse and reasons:
+        told = "; ".join(f"{name} failed: {why}" for name, why in reasons.items())
         raise SilemError(f"{told} (--retry tries again)")
+    return reasons
 
 
 # ---------------------------------------------------------------- several loops on one machine
@@ -186,11 +175,12 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
         with runs.stoppable(), bar:
             loops += [_start(command, log) for _ in range(n)]
             while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
-                kills += _restart(loops, command, log)
+                for i, loop in enumerate(loops):
+                    if (loop.poll() or 0) < 0:
+                        loops[i], kills = _start(command, log), kills + 1
                 if kills > _MOST_KILLS * n:
                     raise SilemError(f"workers are killed again and again (log: {log})")
-                if progress:
-                    _show(bar, configs)
+                _show(bar, configs)
                 time.sleep(_POLL_S / 4)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped all workers at their checkpoints; {_GOES_ON}") from None
@@ -199,7 +189,7 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
             loop.terminate()
         for loop in loops:
             loop.wait()
-    raise_failures(configs)
+    failed(configs, refuse=True)
     codes = [loop.returncode for loop in loops]
     if STOPPED in codes:
         raise KeyboardInterrupt(f"time is up; {_GOES_ON}")
@@ -221,14 +211,6 @@ def _start(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
         )  # fmt: skip
 
 
-def _restart(loops: list[subprocess.Popen[bytes]], command: Sequence[str], log: Path) -> int:
-    """Start loops anew that were killed; return how many."""
-    killed = [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]
-    for i in killed:
-        loops[i] = _start(command, log)
-    return len(killed)
-
-
 def environment() -> dict[str, str]:
     """Return what a loop elsewhere needs of this process's environment."""
     moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
@@ -237,7 +219,9 @@ def environment() -> dict[str, str]:
     return moved
 
 
-def _show(bar: tqdm[Any], configs: Sequence[RunConfig]) -> None:
+def _show(bar: "tqdm[Any]", configs: Sequence[RunConfig]) -> None:
+    if bar.disable:
+        return
     left = [config for config in configs if not runs.is_finished(config)]
     bar.n = len(configs) - len(left)
     bar.set_postfix_str("; ".join(describe(c) for c in left if runs.state(c) == "running"))
@@ -270,6 +254,9 @@ def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     """
     spent: dict[tuple[str, str], list[float]] = defaultdict(list)
 
+    def kinds(config: RunConfig) -> list[tuple[str, str]]:
+        return [(method, body) for method in (config.method, "") for body in (config.body, "")]
+
     def measured(config: RunConfig) -> float | None:
         if runs.is_finished(config):
             record = runs.find(config.run_id)
@@ -281,12 +268,11 @@ def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     for config in configs:
         enough = len(spent[config.method, config.body]) >= _ENOUGH or config.method == "random"
         if not enough and (one := measured(config)):
-            for kind in product((config.method, ""), (config.body, "")):
+            for kind in kinds(config):
                 spent[kind].append(one)
 
     def of(config: RunConfig) -> float | None:
-        kinds = product((config.method, ""), (config.body, ""))
-        found = next((spent[kind] for kind in kinds if spent.get(kind)), [])
+        found = next((spent[kind] for kind in kinds(config) if spent.get(kind)), [])
         return measured(config) or (mean(found) if found else None)
 
     return of

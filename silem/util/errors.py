@@ -1,13 +1,10 @@
 """The one exception of this package, and the one way to check a name, a number or a file's name."""
 
-from __future__ import annotations
-
-import math
 import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable, Iterable
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, NamedTuple
 
 
 class SilemError(ValueError):
@@ -17,8 +14,7 @@ class SilemError(ValueError):
 def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
     """Return `value` if it is one of the allowed names.
 
-    Raises:
-        SilemError: It is not; the message says which `kind` of name and lists what is allowed.
+    Raises SilemError: It is not; the message says which `kind` of name and lists what is allowed.
     """
     names = list(allowed)
     if value not in names:
@@ -27,11 +23,10 @@ def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
 
 
 def check_name(kind: str, value: Any, longest: int = 64) -> str:
-    """Return `value` if it can be the name of a file or folder; every name that becomes one may.
+    """Return `value` if it can be a file's or folder's name, as every name that becomes one must.
 
-    Raises:
-        SilemError: It holds anything but letters, digits, ``.``, ``_`` and ``-``, does not begin
-            with a letter or digit, or is longer than `longest`.
+    Raises SilemError: It holds anything but letters, digits, ``.``, ``_`` and ``-``, does not begin
+    with a letter or digit, or is longer than `longest`.
     """
     allowed = rf"[A-Za-z0-9][A-Za-z0-9._-]{{0,{longest - 1}}}"
     if not isinstance(value, str) or not re.fullmatch(allowed, value):
@@ -53,28 +48,33 @@ def clipped(text: str, longest: int = 200) -> str:
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
-@dataclass(frozen=True)
-class NumberKind:
+LARGEST = 10**9
+"""More of anything cannot be run through."""
+_HIGHEST = sys.float_info.max
+
+
+class NumberKind(NamedTuple):
     """A kind of number: what it is called, and which numbers are of it."""
 
     words: str
     holds: Callable[[Any], bool]
 
+    def check(self, name: str, value: Any) -> None:
+        """Raise SilemError unless the value of that name is a number of this kind."""
+        number = isinstance(value, Real) and not isinstance(value, bool)
+        if not number or not self.holds(value if isinstance(value, Integral) else float(value)):
+            raise SilemError(f"{name} must be {self.words}, not {clipped(repr(value))}")
 
-COUNT = NumberKind("a whole number from 1", lambda n: isinstance(n, Integral) and int(n) > 0)
+
+COUNT = NumberKind(
+    f"a whole number from 1 to {LARGEST}",
+    lambda n: isinstance(n, Integral) and 0 < int(n) <= LARGEST,
+)
 SEED = NumberKind(
     "a whole number from 0 to 2**32 - 1", lambda n: isinstance(n, Integral) and 0 <= int(n) < 2**32
 )
-RATE = NumberKind("a finite number above 0", lambda x: 0 < x < math.inf)
+NUMBER = NumberKind("a finite number", lambda x: abs(x) <= _HIGHEST)
+RATE = NumberKind("a finite number above 0", lambda x: 0 < x <= _HIGHEST)
 BOUND = NumberKind("a number above 0", lambda x: x > 0)
-WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x < math.inf)
+WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x <= _HIGHEST)
 FACTOR = NumberKind("a number above 0 and at most 1", lambda x: 0 < x <= 1)
-
-
-def check_numbers(values: Mapping[str, Any], kinds: Mapping[str, NumberKind]) -> None:
-    """Raise SilemError where one of the named values that there are is no number of its kind."""
-    for name, kind in kinds.items():
-        value = values.get(name, 1)
-        number = isinstance(value, Real) and not isinstance(value, bool)
-        if not number or not kind.holds(value):
-            raise SilemError(f"{name} must be {kind.words}, not {value!r}")

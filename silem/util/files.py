@@ -5,8 +5,6 @@ one step: a reader, or a process that starts after a crash, sees the old file or
 Whatever goes wrong with a file becomes a `SilemError` that names it.
 """
 
-from __future__ import annotations
-
 import csv
 import errno
 import fcntl
@@ -34,8 +32,7 @@ MAX_UNFOLDED_BYTES = 1 << 29
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file atomically, creating its folder where needed.
 
-    Raises:
-        SilemError: It cannot be written; the file that was there before is untouched.
+    Raises SilemError: it cannot be written; the file that was there before is untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -101,8 +98,7 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, obj: Any) -> None:
     """Write an object as indented JSON, atomically.
 
-    Raises:
-        SilemError: As `write_bytes`, or the object holds NaN, infinity, or what JSON cannot say.
+    Raises SilemError as `write_bytes`, or the object holds NaN, infinity, or what JSON cannot say.
     """
     try:
         text = json.dumps(obj, indent=2, allow_nan=False)
@@ -127,9 +123,8 @@ def read_json(path: Path) -> Any:
 def read_csv(path: Path) -> dict[str, np.ndarray]:
     """Read a CSV file of numbers: its columns by name, NaN where blank.
 
-    Raises:
-        SilemError: The file is missing, holds anything but numbers below its one line of names, or
-            its rows differ in length.
+    Raises SilemError: the file is missing, holds anything but numbers below its one line of names,
+    or its rows differ in length.
     """
     with _content(path, "no table of numbers") as data:
         names, *rows = csv.reader(io.StringIO(data.decode()), strict=True)
@@ -142,8 +137,7 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays as an uncompressed npz file; the same arrays always give the same bytes.
 
-    Raises:
-        SilemError: As `write_bytes`, or an array would need a pickle (dtype object).
+    Raises SilemError as `write_bytes`, or an array would need a pickle (dtype object).
     """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
@@ -161,9 +155,8 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 def read_npz(path: Path) -> dict[str, np.ndarray]:
     """Read every array of an npz file.
 
-    Raises:
-        SilemError: The file is missing, truncated, damaged, encrypted, no npz, holds a pickle or
-            one name twice, or its arrays take more than `MAX_UNFOLDED_BYTES`.
+    Raises SilemError: the file is missing, truncated, damaged, encrypted, no npz, holds a pickle or
+    one name twice, or its arrays take more than `MAX_UNFOLDED_BYTES`.
     """
     with (
         _content(path, "no readable npz file of plain arrays") as data,
@@ -186,8 +179,7 @@ def write_tensors(
 ) -> None:
     """Write named arrays and text metadata as a safetensors file; the same ones, the same bytes.
 
-    Raises:
-        SilemError: As `write_bytes`, or an array's dtype is none of safetensors'.
+    Raises SilemError as `write_bytes`, or an array's dtype is none of safetensors'.
     """
     # asarray with order="C" keeps 0-d arrays as they are, unlike ascontiguousarray.
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
@@ -203,8 +195,7 @@ def write_tensors(
 def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the arrays and the metadata of a file made by `write_tensors`.
 
-    Raises:
-        SilemError: The file is missing, truncated, damaged or not of this project.
+    Raises SilemError: the file is missing, truncated, damaged or not of this project.
     """
     with _content(path, "damaged or no safetensors file of this project") as data:
         # safetensors.numpy.load drops the metadata; they stand in the header, whose length
@@ -232,10 +223,8 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs, after waiting `wait_s` for another process.
 
     The kernel releases the lock when its process ends, even by ``kill -9``, so no stale lock can
-    stay behind. The file's text is the holder's ``pid@host``, for messages only.
-
-    Raises:
-        SilemError: Another process holds the lock (`Held`, which names it), or there can be none.
+    stay behind. The file's text is the holder's ``pid@host``, for messages only. Raises SilemError:
+    another process holds the lock (`Held`, which names it), or there can be none.
     """
     path = Path(path)
     until = time.monotonic() + wait_s

@@ -1,7 +1,5 @@
 """Which OpenGL MuJoCo draws with where there is no display; imported before MuJoCo is."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import sys

@@ -5,8 +5,6 @@ checkout, or ``silem-data/`` in the working folder of whoever installed the pack
 the package never moves.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A stream is named by words and numbers, so adding a stage to a run, or asking fo
 another order, leaves every other stage's random numbers as they were.
 """
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

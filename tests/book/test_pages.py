@@ -28,6 +28,18 @@ CLIPPED_CODE = """() => [...document.querySelectorAll('div.highlight pre')]
     .filter(pre => pre.offsetParent && pre.scrollWidth > pre.clientWidth + 1)
     .map(pre => pre.textContent.split('\\n').sort((a, b) => b.length - a.length)[0])"""
 OVERFLOW_PX = "() => document.scrollingElement.scrollWidth - window.innerWidth"
+# what sticks out of the window and cannot be scrolled to
+CUT_OFF = """() => [...document.querySelectorAll('article :is(table, pre, img, video, svg)')]
+    .filter(one => one.getBoundingClientRect().right > innerWidth + 1)
+    .filter(one => {
+        while ((one = one.parentElement) && !/auto|scroll/.test(getComputedStyle(one).overflowX));
+        return !one;
+    }).map(one => one.outerHTML.slice(0, 200))"""
+# A file's name says nothing, so words have spaces.
+WITHOUT_WORDS = """() => [...document.querySelectorAll('img, video')]
+    .filter(one => !(one.alt ?? one.ariaLabel ?? '').includes(' ')).map(one => one.src)"""
+WITHOUT_CONTROLS = """() => [...document.querySelectorAll('video')]
+    .filter(video => !video.controls || !video.poster).map(video => video.ariaLabel)"""
 PLAY = """async video => {
     video.muted = true; video.loop = true;
     await video.play();
@@ -80,6 +92,7 @@ def test_page_is_complete_without_a_network(opened: Opened) -> None:
     assert page.locator(".output.stderr").all_inner_texts() == []  # a warning is not prose
     assert page.evaluate(BROKEN_IMAGES) == []
     assert page.evaluate(UNSET_MATHEMATICS) == []
+    assert page.evaluate(WITHOUT_WORDS) == page.evaluate(WITHOUT_CONTROLS) == []
     for video in page.locator("video").all():
         assert video.evaluate(PLAY), "the video does not play"
     assert [url for url in opened.requests if not url.startswith(LOCAL)] == []
@@ -88,17 +101,10 @@ def test_page_is_complete_without_a_network(opened: Opened) -> None:
 
 def test_page_fits_its_width(opened: Opened) -> None:
     assert opened.page.evaluate(CLIPPED_CODE) == []
-    assert opened.page.evaluate(OVERFLOW_PX) <= 0
-
-
-@pytest.mark.parametrize(
-    "name",
-    [f"book/{n}" for n in ("api", "method", "how_to_run", "push", "slider", "cost", "reviewers")],
-)
-def test_page_fits_a_phone(name: str, html: Path, browser: Browser) -> None:
-    opened = open_page(browser, html / f"{name}.html", width=390)
-    assert opened.page.evaluate(OVERFLOW_PX) <= 0
-    opened.page.close()
+    for width in (1440, 390):
+        opened.page.set_viewport_size({"width": width, "height": 900})
+        assert opened.page.evaluate(OVERFLOW_PX) <= 0
+        assert opened.page.evaluate(CUT_OFF) == []
 
 
 def test_mathematics_is_there_to_be_set(html: Path, browser: Browser) -> None:
@@ -132,6 +138,7 @@ def test_checks_see_what_is_wrong(tmp_path: Path, browser: Browser) -> None:
         "<body style='width:5000px'><img src='missing.png'><span class='math'>x</span>"
         "<div class='highlight'>"
         "<pre style='width:50px;overflow:auto'>a long line of code</pre></div>"
+        "<article><table width=3000><tr><td>1</table><video src=x.mp4></video></article>"
         "<script src='http://localhost:9/x.js'></script><script>nonsense(</script>"
     )
     opened = open_page(browser, path)
@@ -139,6 +146,9 @@ def test_checks_see_what_is_wrong(tmp_path: Path, browser: Browser) -> None:
     assert opened.page.evaluate(UNSET_MATHEMATICS) == ["x"]
     assert opened.page.evaluate(CLIPPED_CODE) == ["a long line of code"]
     assert opened.page.evaluate(OVERFLOW_PX) > 0
+    assert "<table" in opened.page.evaluate(CUT_OFF)[0]
+    assert opened.page.evaluate(WITHOUT_CONTROLS) == [None]
+    assert len(opened.page.evaluate(WITHOUT_WORDS)) == 2
     assert "http://localhost:9/x.js" in opened.requests
     assert any("SyntaxError" in error or "Unexpected" in error for error in opened.errors)
     opened.page.close()

@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from silem.report import pdf, results, scores, style, web
+from silem.report import film, pdf, results, scores, style, web
 from silem.study.record import CURVE
+from silem.util import files
 
 pytestmark = pytest.mark.xdist_group("book")
 
@@ -51,14 +52,13 @@ def opened(site: Path, browser: Browser) -> Iterator[Open]:
 def test_the_slider_moves_through_a_runs_record(opened: Open) -> None:
     page = opened(SLIDER)
     page.locator("[data-state=ready]").wait_for()
+    page.get_by_label("Study").select_option("humanoids")
     assert page.get_by_label("Run", exact=True).input_value() == RUN
+    assert page.locator("video").count() == 0
     curve = results.load_curve(RUN)
     shown = page.locator(".silem-panel-one", has_text="Return of an episode").locator("output")
     for row in (0, len(curve) // 2, len(curve) - 1):
-        page.get_by_role("slider", name="Iteration").evaluate(
-            "(slider, row) => { slider.value = row; slider.dispatchEvent(new Event('input')); }",
-            row,
-        )
+        page.get_by_role("slider", name="Iteration").evaluate(MOVE, row)
         assert float(shown.inner_text().replace(",", "")) == round(curve["return_mean"][row])
         assert (
             f"iteration {curve['iteration'][row]:,.0f} of"
@@ -70,6 +70,33 @@ def test_the_slider_moves_through_a_runs_record(opened: Open) -> None:
     said = page.locator(".silem-bar title").evaluate_all("all => all.map(one => one.textContent)")
     values = [float(text.rpartition(" ")[2].replace("−", "-")) for text in said]
     np.testing.assert_allclose(values, np.concatenate([learned["A"], learned["b"]]), atol=6e-4)
+
+
+def test_film_and_transform_change_at_the_checkpoints(opened: Open, site: Path) -> None:
+    (run_id,) = [path.name for path in film.LEARNING.iterdir()]
+    page = opened(SLIDER)  # it begins with the run that was filmed
+    page.locator("[data-state=ready]").wait_for()
+    assert page.get_by_label("Run", exact=True).input_value() == run_id
+    curve, shown = results.load_curve(run_id), page.locator(".silem-film video[controls]")
+    films = sorted(int(path.stem) for path in (film.LEARNING / run_id).glob("*.mp4"))
+    learned = files.read_npz(film.LEARNING / run_id / "transforms.npz")
+    assert films[0] == 0 and films[-1] == curve["iteration"].iloc[-1] and len(films) > 3
+    slider, bar = page.get_by_role("slider", name="Iteration"), page.locator(".silem-bar title")
+    for iteration in (1, films[1] - 1, films[1], films[-1]):
+        row = int((curve["iteration"] <= iteration).sum() - 1) if iteration > 1 else 0
+        at = curve["iteration"][row]
+        slider.evaluate(MOVE, row)
+        before = max(one for one in films if one <= at)
+        assert (shown.get_attribute("src") or "").endswith(f"films/{run_id}/{before}.mp4")
+        assert (shown.get_attribute("poster") or "").endswith(f"films/{run_id}/{before}.jpg")
+        loaded = "film => film.play().then(() => film.pause()).then(() => film.videoWidth)"
+        assert shown.evaluate(loaded) > 0
+        known = int((learned["iteration"] <= at).sum() - 1)
+        text = bar.first.text_content() or ""
+        scale = float(text.rpartition(" ")[2].replace("−", "-"))
+        assert scale == pytest.approx(float(learned["A"][known][0]), abs=6e-4)
+    said = page.locator(".silem-film").inner_text()
+    assert run_id in said and f"return {curve['return_mean'].iloc[-1]:,.0f}" in said
 
 
 def test_the_slider_plays_compares_and_leaves_out_what_a_run_has_not(opened: Open) -> None:

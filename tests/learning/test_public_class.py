@@ -579,7 +579,7 @@ def test_absorbing_windows_by_hand() -> None:
         [[3, 0], [0, 1], [0, 1]],
         [[0, 1], [0, 1], [0, 1]],
     ]
-    np.testing.assert_array_equal(silem.algorithms.windows.absorbing_windows(last), expected)
+    np.testing.assert_array_equal(silem.algorithms.gaifo.absorbing_windows(last), expected)
 
 
 @pytest.mark.parametrize("method", [GAIfO, SILEM, TPIL])

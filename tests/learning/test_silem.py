@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import configure
 from silem import SILEM, Demonstrations, GAIfO, SilemError
 from silem.algorithms.networks import (
     TRANSFORMS,
+    AffineEnsemble,
     AffineTransform,
     Discriminator,
     discriminator_loss,
@@ -57,6 +58,85 @@ def test_affine_acts_state_by_state(rng: np.random.Generator) -> None:
     windows = cloud(rng)
     expected = windows * th.tensor([2.0, 1.0, 0.5]) + th.tensor([0.0, 1.0, 0.0])
     assert th.equal(transform(windows), expected)
+
+
+def ensemble(n_features: int = 2, n_components: int = 2) -> AffineEnsemble:
+    """Two maps, of which the gate gives the first w = 3/4 where g_1 = ln 3, 1/2 where it is 0."""
+    made = AffineEnsemble(n_features, n_components)
+    with th.no_grad():
+        made.gate.weight.zero_()
+        made.gate.bias.zero_()
+        made.gate.weight[0, 0] = 1.0
+        made.scale.copy_(th.tensor([[2.0, 1.0], [0.0, 1.0]]))
+        made.offset.copy_(th.tensor([[0.0, 1.0], [4.0, -1.0]]))
+    return made
+
+
+def test_an_ensemble_by_hand() -> None:
+    made, log_3 = ensemble(), float(np.log(3.0))
+    states = th.tensor([[log_3, 5.0], [0.0, 5.0]])
+    # 3/4 (2 ln 3, 6) + 1/4 (4, 4), and the mean of (0, 6) and (4, 4)
+    expected = th.tensor([[1.5 * log_3 + 1.0, 5.5], [2.0, 5.0]])
+    th.testing.assert_close(made(states), expected)
+    th.testing.assert_close(made(states.reshape(1, 2, 2)), expected[None])  # windows, by state
+    made.weigh(states)
+    np.testing.assert_allclose(made.shares, [0.625, 0.375])
+    np.testing.assert_allclose(made.mean()["A"], [1.25, 1.0])
+    np.testing.assert_allclose(made.mean()["b"], [1.5, 0.25])
+
+
+def test_an_ensemble_starts_as_the_identity_and_its_maps_part(rng: np.random.Generator) -> None:
+    model = make_model(transform_components=4, transform_learning_rate=1e-3)
+    made, windows = model.transform_net, cloud(rng)
+    assert isinstance(made, AffineEnsemble)
+    th.testing.assert_close(made(windows), windows)
+    assert l2_penalty(made, 10.0, 4.0).item() == 0.0
+    for _ in range(10):
+        model.update_discriminator(windows)
+        model.update_transform(windows)
+    assert made.scale.detach().std(dim=0).min() > 1e-4  # equal maps would never part
+    assert not th.allclose(made.shares, th.full((4,), 0.25), atol=1e-3)
+    assert l2_penalty(made, 10.0, 4.0).item() > 0.0
+
+
+def test_without_its_gate_an_ensembles_maps_never_part(rng: np.random.Generator) -> None:
+    model = make_model(transform_components=2, transform_learning_rate=1e-3)
+    with th.no_grad():
+        for p in model.transform_net.gate.parameters():
+            p.zero_()
+    for _ in range(5):
+        model.update_discriminator(cloud(rng))
+        model.update_transform(cloud(rng))
+    assert th.equal(model.transform_net.scale[0], model.transform_net.scale[1])
+
+
+def test_an_ensembles_gradient_is_that_of_differences() -> None:
+    made = ensemble().double()
+    states = th.tensor([[0.3, -1.2], [2.0, 0.7]], dtype=th.float64)
+    names, values = zip(*made.named_parameters(), strict=True)
+
+    def at(*given: th.Tensor) -> th.Tensor:
+        of = dict(zip(names, given, strict=True))
+        return th.func.functional_call(made, of, (states,))
+
+    assert th.autograd.gradcheck(at, tuple(v.detach().requires_grad_() for v in values))
+
+
+def test_one_component_is_silem_to_the_bit() -> None:
+    states = []
+    for settings in ({}, {"transform_components": 1}, {"transform_components": 2}):
+        model = make_model(**settings)
+        model.learn(256)
+        states.append(model.state_arrays())
+    plain, one, two = states
+    assert plain.keys() == one.keys() != two.keys()
+    assert all(np.array_equal(plain[name], one[name]) for name in plain)
+    assert not np.array_equal(plain["policy/log_std"], two["policy/log_std"])
+
+
+def test_an_mlp_has_no_components() -> None:
+    with pytest.raises(SilemError, match="only affine maps have components, not 'mlp'"):
+        make_model("mlp", transform_components=2)
 
 
 def test_discriminator_steps_lower_its_loss(rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from silem import SILEM, SilemError
-from silem.algorithms.windows import LearnerFeatures, episode_windows
+from silem.algorithms.gaifo import LearnerFeatures, episode_windows
 
 
 def test_episode_windows_by_hand() -> None:

@@ -238,6 +238,31 @@ def test_which_gait_can_be_imitated(execute: Execute) -> None:
     assert "No video" in output(page, "video")
 
 
+def test_any_body_in_one_page(execute: Execute, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bodies, "_BODIES", dict(bodies._BODIES))
+    monkeypatch.setattr(bodies, "_OWN", {})
+    page = execute("16_any_body", video_s=0.1, steps=512)
+    assert "hip angle" in words(output(page, "features"))
+    assert "silem_Quadruped_from_HC0_tiny_s0_" in words(output(page, "run"))
+    assert output(page, "transform").startswith("<svg")
+    assert "first actions" in output(page, "share")
+    assert "height" in words(output(page, "any-run"))
+
+
+def test_beyond_the_paper(execute: Execute) -> None:
+    page = execute("17_beyond")
+    assert glue_roles(page) <= said(page).keys()
+    for cell_id in ("ladder", "ladder-T", "ladder-ant", "slope", "slope-T", "slope-humanoid"):
+        assert output(page, cell_id).startswith("<svg")
+    assert words(output(page, "half")).count("–") == 18  # not every torso has been run
+    assert "planned runs that are not made yet (82)" in words(output(page, "ladder-runs"))
+    verdicts = words(output(page, "slope-verdict"))
+    assert all(claim.text in verdicts for claim in claims.of("slope"))
+    assert verdicts.count("undecided") == len(claims.of("slope"))
+    assert "HC0 affine, K = 1 5 trials" in words(output(page, "ensembles"))
+    assert "no run" in words(output(page, "arms"))
+
+
 def test_open_settings(execute: Execute) -> None:
     page = execute("08_open_settings")
     spoken = said(page)

@@ -21,4 +21,5 @@ def test_without_offscreen_rendering(execute: Execute) -> None:
     assert (spoken["tolerance_mm"], spoken["converged_Atlas"]) == ("30", "39")
     ratios = words(output(page, "ratios"))
     assert "HumanoidR's over his 0.98 0.59 1.77" in ratios.replace("&#x27;", "'")
+    assert "1 / a of SILEM, no run" in words(output(page, "scales"))
     assert words(output(page, "hands")).count("100 100") == 6

@@ -18,7 +18,7 @@ from silem.study.config import RunConfig
 from silem.study.studies import cells
 
 NAME = "12_walking"
-FIGURES = ("fig-3b", "curves", "long-curve", "fig-4a", "fig-4b", "starts-curves")
+FIGURES = ("fig-3b", "curves", "long-curve", "fig-4", "starts-curves")
 
 
 def planned(study: str, method: str, body: str) -> RunConfig:

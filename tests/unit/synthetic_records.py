@@ -14,7 +14,7 @@ from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion.features import FEATURES
 from silem.study.config import RunConfig
-from silem.study.record import POLICY, RunRecord, curve_csv, curve_row
+from silem.study.record import MAX_ROWS, POLICY, RunRecord, curve_csv, curve_row
 from silem.study.studies import study_configs
 from silem.study.training import settings
 from silem.util import files, paths
@@ -43,7 +43,15 @@ for _method, _levels in {
     "peng20": (0.3, 0.2, 0.7),
 }.items():
     NORMALISED |= {(_method, body): level for body, level in zip(HUMANOIDS, _levels, strict=True)}
-N_FEATURES = {"halfcheetah": 26, "humanoid": len(FEATURES)}
+ANTS = bodies.names("ant")
+for _i, _body in enumerate(ANTS):
+    EXPERT_RETURNS[_body], RANDOM_RETURNS[_body] = 2900.0 - 80 * _i, 40.0
+    NORMALISED["silem", _body] = 0.95 - 0.01 * _i
+    NORMALISED["silem-minus", _body] = 0.95 - 0.13 * _i
+    NORMALISED["silem-minus-own", _body] = 0.95
+N_FEATURES = {"halfcheetah": 26, "ant": 28, "humanoid": len(FEATURES)}
+LONGEST_RETURN = 1500.0
+"""From this return on a made-up Ant's episodes last to their end."""
 
 
 def typical_return(config: RunConfig) -> float:
@@ -81,7 +89,7 @@ def write_record(
         files.write_tensors(folder / "policy.safetensors", policy, {"run_id": config.run_id})
         written["policy.safetensors"] = files.sha256(folder / "policy.safetensors")
     if config.transform == "affine":
-        arrays = _humanoid_transform(config, rng) if walks else _cheetah_transform(config, rng)
+        arrays = _humanoid_transform(config, rng) if walks else _runner_transform(config, rng)
         files.write_npz(folder / "transform.npz", arrays)
         written["transform.npz"] = files.sha256(folder / "transform.npz")
     record = RunRecord(
@@ -93,7 +101,7 @@ def write_record(
             "return_mean": float(returns.mean()),
             "return_std": float(returns.std()),
             "returns": [round(float(value), 3) for value in returns],
-            **_gait(return_mean, walks),
+            **_gait(return_mean, config.body),
             "disc_reward_mean": disc_reward if imitates else None,
         },
         training={
@@ -142,19 +150,31 @@ def write_study(
     return kept
 
 
-def _gait(return_mean: float, walks: bool) -> dict[str, float]:
-    """How a body moves that earns a return."""
-    if walks:
+def _gait(return_mean: float, body: str) -> dict[str, float]:
+    """How a body moves that earns a return; records of HalfCheetahs are of before steps counted."""
+    if body in HUMANOIDS:
         share = float(np.clip(return_mean / 850, 0.02, 1))
         return {"speed_m_s": 1.6 * share, "upright": min(1.0, 1.1 * share)}
+    if body in ANTS:
+        steps = 1000 * float(np.clip(return_mean / LONGEST_RETURN, 0.03, 1))
+        return {"speed_m_s": return_mean / 1200, "upright": 1 - 1 / steps, "steps_mean": steps}
     upright = float(np.clip(0.5 + return_mean / 4000, 0, 1))
     return {"speed_m_s": max(0.02, 2.4 * (return_mean + 200) / 2600), "upright": upright}
 
 
-def _cheetah_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """A transform that strays from the identity with the length of the torso."""
-    spread, n = int(config.body[-1]), N_FEATURES["halfcheetah"]
-    return {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
+def _runner_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """A transform that strays from the identity with a length; Ants' forward velocity tracks it."""
+    longer, body = int(config.body[-1]), bodies.get(config.body)
+    n, tracks = body.observation_size, body.family == "ant"
+    spread = 0.3 if tracks else longer
+    arrays = {"A": 1 + 0.12 * spread * rng.normal(size=n), "b": 0.08 * spread * rng.normal(size=n)}
+    if tracks:
+        arrays["A"][3] += 0.1 * longer
+    count = config.hyper.transform_components
+    if count > 1:  # an ensemble's maps and gate, which no figure reads
+        maps = dict.fromkeys(("scale", "offset", "gate.weight"), np.ones((count, n)))
+        arrays |= maps | dict.fromkeys(("gate.bias", "shares"), np.ones(count))
+    return arrays
 
 
 def _humanoid_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -176,13 +196,15 @@ def _curve(config: RunConfig, return_mean: float, rng: np.random.Generator) -> s
     walks = bodies.get(config.body).family == "humanoid"
     n = config.budget.n_iterations
     share = 1 - np.exp(-5 * np.arange(1, n + 1) / n)
-    start = RANDOM_RETURNS[config.body]
+    start = RANDOM_RETURNS.get(config.body, -1500.0)
     returns = start + share * (return_mean - start) + 60 * rng.normal(size=n)
-    rows = []
-    for i in range(n):
+    size, rows = max(1, -(-n // MAX_ROWS)), []  # as many rows as are kept
+    for i in range(size - 1, n, size):
         stats = {"policy_std": 1 - 0.8 * share[i]}
-        if i % 4 == 3:  # an episode ends only now and then
+        if size > 3 or i % 4 == 3:  # an episode ends only now and then
             stats |= {"return_mean": returns[i], "speed_m_s": max(0, 2.4 * returns[i] / 2600)}
+            if config.body in ANTS:
+                stats |= {"episode_length": 30 + 970 * share[i]}
             if walks:
                 stats |= {"speed_m_s": returns[i] / 530, "episode_length": 20 + 980 * share[i]}
         if config.demonstrations:

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
 
-from silem import bodies
+from silem import SILEM, bodies
+from silem.envs import WithFeatures, make_vec
 from silem.motion.demonstrations import Demonstrations, file_of
 from silem.study import verify
 from silem.study.config import RunConfig
@@ -41,6 +43,27 @@ def test_an_imitator_on_pendulum_is_recorded_and_found_again(data: Path) -> None
     assert evaluate(policy, "Pendulum-v1", 2).returns == record.evaluation["returns"]
     verdict = verify.verify(record.folder)
     assert verdict.outcome == verify.EXACT, verdict
+
+
+def test_features_of_ones_own_are_compared_and_the_observation_is_acted_on(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def make() -> gymnasium.Env:
+        return WithFeatures(gymnasium.make("Pendulum-v1").unwrapped, lambda seen: seen[[2, 0]])
+
+    name = "Swinging-v0"
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
+    gymnasium.register(name, entry_point=make, max_episode_steps=200)
+    env = make_vec(name, 2)
+    seen = env.reset()
+    features = [info["skeletal_features"] for info in env.reset_infos]
+    np.testing.assert_array_equal(features, seen[:, [2, 0]])
+    seen, _, _, infos = env.step(np.zeros((2, 1)))
+    np.testing.assert_array_equal([i["skeletal_features"] for i in infos], seen[:, [2, 0]])
+    shown = Demonstrations.of([np.zeros((50, 2), np.float32)])
+    model = SILEM("MlpPolicy", env, shown, n_steps=32).learn(64)
+    assert model.transform_net.scale.shape == (2,) and model.observation_space.shape == (3,)
+    assert evaluate(model, name, 2, model=model).disc_reward_mean > 0
 
 
 def test_random_actions_fit_the_environment(data: Path) -> None:

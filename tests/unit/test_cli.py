@@ -43,20 +43,19 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set gamma=high", "must be a number"),
         ("run --body HC0 --method ppo --set gama=0.9", "unknown setting of ppo on HC0 'gama'"),
         ("run --body HC0 --method silem --quiet", "silem demonstrations --body HC0"),
-        ("campaign --trials 9", "trials of halfcheetah must be 1 to 5"),
-        ("campaign --workers 0 --method random", "--workers: '0' is no whole number from 1"),
-        ("campaign --method silem --budget tiny", "needs demonstrations of HC0"),
+        ("work halfcheetah --trials 9", "trials of halfcheetah must be 1 to 5"),
+        ("work halfcheetah --workers 0 --method random", "'0' is no whole number from 1"),
+        ("work halfcheetah --method silem --budget tiny", "needs demonstrations of HC0"),
         ("work", "arguments are required: STUDY"),
         ("work chess", "unknown study 'chess'"),
         ("work ant --minutes 0", "--minutes: '0' is no whole number from 1"),
         ("work ant --method silem --budget tiny", "needs demonstrations of Ant0"),
-        ("search ant", "a search is STUDY/BODY/METHOD, not 'ant'"),
-        ("search ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
-        ("search ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
+        ("work ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
+        ("status ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
         ("submit ant --on pbs --print", "unknown engine 'pbs'; allowed: slurm, htcondor, dask"),
         ("submit ant --on slurm --jobs 0", "--jobs: '0' is no whole number from 1"),
         ("submit ant --on slurm --options nowhere.toml", "cannot read nowhere.toml"),
-        ("campaign --body HC9", "unknown body 'HC9'"),
+        ("work halfcheetah --body HC9", "unknown body 'HC9'"),
         ("status chess", "unknown study 'chess'"),
         ("evaluate ppo_HC0", "no finished run 'ppo_HC0'"),
         ("render ppo_HC0 --out x.mp4", "no finished run"),
@@ -72,10 +71,13 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("run --body HC0 --method ppo --set seed=3", "unknown setting of ppo on HC0 'seed'"),
         ("run --body HC0 --method ppo --set =3", "unknown setting of ppo on HC0 ''"),
         ("run --body HC0 --method ppo --set gamma=", "gamma: '' is no number"),
-        (f"run --body HC0 --method ppo --set learning_rate={'9' * 400}", "out of range"),
+        (
+            f"run --body HC0 --method ppo --set learning_rate={'9' * 400}",
+            "above 0, not 99",
+        ),
         (
             f"run --body HC0 --method ppo --set n_epochs={'9' * 400}",
-            "up to 1000000000, not 99",
+            "from 1 to 1000000000, not 99",
         ),
         (f"run --body HC0 --method ppo --set n_epochs={'9' * 5000}", "999...' is no number"),
         (f"run --body HC0 --method ppo --set policy_hidden={'[' * 5000}", "[[[...' is no number"),
@@ -341,7 +343,7 @@ def test_a_closed_pipe_and_a_full_disk_are_no_traceback(data: Path) -> None:
 @pytest.mark.parametrize("sent", ["SIGINT", "SIGTERM"])
 def test_stopping_while_options_are_parsed_is_one_line(sent: str, data: Path) -> None:
     (data / "slow.py").write_text(f"import os, signal\nos.kill(os.getpid(), signal.{sent})\n")
-    done = python("-m", "silem", "status", "--import", "slow", cwd=data)
+    done = python("-m", "silem", "bodies", "--import", "slow", cwd=data)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "silem: stopped\n")
 
 

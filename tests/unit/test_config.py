@@ -31,19 +31,19 @@ create = RunConfig.create
         ({"study": "../elsewhere"}, "study must be"),
         ({"study": "x" * 65}, "study must be a name of at most 64"),
         ({"study": ".."}, "study must be"),
-        ({"gradient_penalty": 10**400}, "gradient_penalty is out of range"),
+        ({"gradient_penalty": 10**400}, "gradient_penalty must be a finite number from 0, not 100"),
         ({"gama": 0.9}, "unknown hyper-parameter of silem 'gama'; allowed: learning_rate"),
         ({"method": "ppo", "window": 3}, "unknown hyper-parameter of ppo 'window'"),
         ({"method": "silem-minus", "n_transform_updates": 3}, "of silem-minus"),
         ({"method": "random", "gamma": 0.9}, "of random"),
-        ({"gamma": "0.9"}, "gamma must be a number"),
-        ({"gamma": 1.01}, "gamma is out of range"),
-        ({"learning_rate": 0}, "learning_rate is out of range"),
-        ({"learning_rate": float("nan")}, "learning_rate is out of range"),
-        ({"learning_rate": float("inf")}, "learning_rate is out of range"),
-        ({"gradient_penalty": -1.0}, "gradient_penalty is out of range"),
-        ({"n_epochs": 1.5}, "n_epochs must be a positive whole number"),
-        ({"window": 0}, "window must be a positive whole number"),
+        ({"gamma": "0.9"}, "gamma must be a number above 0"),
+        ({"gamma": 1.01}, "gamma must be a number above 0 and at most 1"),
+        ({"learning_rate": 0}, "learning_rate must be a finite number above 0"),
+        ({"learning_rate": float("nan")}, "learning_rate must be a finite number above 0"),
+        ({"learning_rate": float("inf")}, "learning_rate must be a finite number above 0"),
+        ({"gradient_penalty": -1.0}, "gradient_penalty must be a finite number"),
+        ({"n_epochs": 1.5}, "n_epochs must be a whole number from 1"),
+        ({"window": 0}, "window must be a whole number from 1"),
         ({"policy_hidden": 64}, "policy_hidden must be a list"),
         ({"policy_hidden": [64, 0]}, "each size in policy_hidden"),
         ({"minibatch_size": 100}, "minibatch_size 100 does not divide 256 steps"),
@@ -93,7 +93,7 @@ def test_a_budget_changes_counts_only() -> None:
 
 
 def test_budgets_are_checked() -> None:
-    with pytest.raises(SilemError, match="n_iterations must be a positive"):
+    with pytest.raises(SilemError, match="n_iterations must be a whole number from 1"):
         BUDGETS["tiny"].with_iterations(0)
     with pytest.raises(SilemError, match="do not divide among 3"):
         Budget("odd", 3, 256, 1, 1, 1, 1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, lines_at, texts
+from scipy import stats
 
 from silem import bodies
 from silem.bodies.half_cheetah import nose_touch_pitch_rad
@@ -139,10 +140,10 @@ def test_strides_are_cut_at_the_peaks_and_resampled() -> None:
 
 def test_experts_are_filmed_side_by_side(data: Path) -> None:
     shown = gaits.load("HC0", "book", 1) | {"HC0_s4": None}
-    clip = gaits.film_experts(shown, 0.1)
+    clip = gaits.side_by_side(gaits.by_trial(shown), 0.1)
     assert clip is not None
     assert clip.frames.shape[1:3] == (2 * 240 + 8, 3 * 320 + 16)
-    assert gaits.film_experts({"HC0_s0": None}, 0.1) is None
+    assert gaits.side_by_side(gaits.by_trial({"HC0_s0": None}), 0.1) is None
 
 
 # ---------------------------------------------------------------- what decided
@@ -151,21 +152,21 @@ def test_experts_are_filmed_side_by_side(data: Path) -> None:
 def test_effects_of_a_table_worked_out_by_hand() -> None:
     # rows differ by 4, columns by 2, with one entry off
     values = np.array([[0.0, 2.0], [4.0, 6.0], [8.0, 13.0]])
-    found = gaits.effects(values)
+    rows, columns, rows_p, columns_p = gaits.effects(values)
     total = ((values - 5.5) ** 2).sum()
-    assert found.rows_share == pytest.approx(2 * (4.5**2 + 0.5**2 + 5**2) / total)
-    assert found.columns_share == pytest.approx(3 * 2 * 1.5**2 / total)
-    assert found.rows_p < found.columns_p < 0.2
-    swapped = gaits.effects(values.T)
-    assert swapped.rows_p == pytest.approx(found.columns_p)
+    assert rows == pytest.approx(2 * (4.5**2 + 0.5**2 + 5**2) / total)
+    assert columns == pytest.approx(3 * 2 * 1.5**2 / total)
+    error = (1 - rows - columns) * total / 2
+    assert rows_p == pytest.approx(stats.f.sf(rows * total / 2 / error, 2, 2))
+    assert columns_p == pytest.approx(stats.f.sf(columns * total / error, 1, 2))
     assert gaits.effects(np.ones((3, 2))) == (0, 0, 1, 1)
 
 
 def test_chance_is_not_called_a_cause() -> None:
     rng = np.random.default_rng(0)
-    wrong = [gaits.effects(rng.normal(size=(5, 2))) for _ in range(400)]
-    for name in ("rows_p", "columns_p"):
-        assert 0.02 < np.mean([getattr(found, name) < 0.05 for found in wrong]) < 0.09
+    wrong = np.array([gaits.effects(rng.normal(size=(5, 2))) for _ in range(400)])
+    for shares in (wrong[:, 2:] < 0.05).mean(axis=0):
+        assert 0.02 < shares < 0.09
 
 
 @pytest.mark.parametrize(
@@ -238,7 +239,7 @@ def test_without_any_run_the_page_says_so(data: Path) -> None:
     records, shown = results.load_records("demonstrators", "book"), gaits.load("HC0", "book", 1)
     assert gaits.decided(records, shown).count("not to be told yet") == 2
     assert_readable(gaits.imitated(records, dict.fromkeys(shown)))
-    assert gaits.film_extremes(records, 0.1) is None
+    assert gaits.side_by_side(gaits.extremes(records), 0.1) is None
 
 
 def test_best_and_worst_are_filmed_side_by_side(data: Path) -> None:
@@ -250,7 +251,7 @@ def test_best_and_worst_are_filmed_side_by_side(data: Path) -> None:
     assert best[0] == "best: HC1, SILEM, trial 1"
     assert worst[0] == "worst: HC1, SILEM, trial 0"
     assert best[1].config["demonstrations"] == "HC0_s1"
-    clip = gaits.film_extremes(records, 0.1)
+    clip = gaits.side_by_side(gaits.extremes(records), 0.1)
     assert clip is not None
     assert clip.frames.shape[2] == 2 * 320 + 8
     assert list(gaits.extremes(records[:1])) == ["best: HC1, SILEM, trial 0"]

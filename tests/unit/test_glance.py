@@ -28,7 +28,7 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def row(box: str, start: str) -> list[str]:
-    (line,) = [line for line in box.splitlines() if line.startswith(f"| {start}")]
+    line = next(line for line in box.splitlines() if line.startswith(f"| {start}"))
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
@@ -48,12 +48,12 @@ def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
     assert row(box, "SILEM far outperforms TPIL")[3] == (
         "Atlas, Humanoid, HumanoidR (too few trials)"
     )
-    titles = {claim.title for study in claims.CLAIMS for claim in claims.of(study)}
+    titles = {claim.title for study in glance.STUDIES for claim in claims.of(study)}
     assert all(f"| {title} |" in box for title in titles)
     heads = [line for line in box.splitlines() if line.startswith("| claim |")]
     counts = [[int(n) for n in re.findall(r"\((\d+)\)", head)] for head in heads]
     assert [sum(found) for found in counts] == [len(claims.of(s)) for s in glance.STUDIES]
-    assert counts[0][1] >= 1 and counts[1] == [0, 0, 27]
+    assert counts[0][1] >= 1 and counts[1:] == [[0, 0, 34], [0, 0, 27]]
 
 
 def test_the_box_counts_trainings_and_hours(made_up: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +26,16 @@ HALF, MOST = PLANNED // 2, PLANNED * 3 // 4
 CASES = ("whole", "partial", "single", "empty")
 FIGURES = {
     "humanoid_scores": humanoid_scores,
-    "A": partial(transforms.figure_4, which="scale"),
-    "b": partial(transforms.figure_4, which="offset"),
+    "figure 4": lambda frame: transforms.by_feature(arms(frame)),
     "experts": scores.experts,
     "learning_curves": curves.learning_curves,
     "transforms": transforms.by_feature,
 }
+
+
+def arms(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of Figure 4."""
+    return results.select(frame, ["silem"], ["Humanoid", "HumanoidR"])
 
 
 def planned(method: str, body: str, seed: int = 0) -> RunConfig:
@@ -72,7 +75,11 @@ def make(case: str, folder: Path) -> pd.DataFrame:
 
 @pytest.mark.parametrize(
     ("frame", "name"),
-    [*itertools.product(("partial", "empty"), FIGURES), ("single", "A"), ("whole", "A")],
+    [
+        *itertools.product(("partial", "empty"), FIGURES),
+        ("single", "figure 4"),
+        ("whole", "figure 4"),
+    ],
     indirect=["frame"],
 )
 def test_every_figure_takes_humanoids_and_stays_readable(name: str, frame: pd.DataFrame) -> None:
@@ -136,42 +143,40 @@ def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
     assert "steps before a fall" in texts(figure)
 
 
-def test_affine_transforms_mean_and_policies_by_feature(frame: pd.DataFrame) -> None:
-    axes = transforms.figure_4(frame, "scale").axes[0]
+def test_figure_4_draws_means_joined_by_group_and_every_policy(frame: pd.DataFrame) -> None:
+    axes = transforms.by_feature(arms(frame)).axes[0]
     runs = results.cell(frame, "silem", "HumanoidR")["run_id"]
     entries = np.stack([results.load_transform(run)["A"] for run in runs])
-    drawn = lines_at(axes, style.body_color(1, 2))
-    thick = [line.get_ydata() for line in drawn if line.get_linewidth() > 2]
-    assert any(np.array_equal(y, entries.mean(axis=0)[:3]) for y in thick)  # the left hand
-    thin = [line.get_ydata() for line in drawn if line.get_linewidth() < 1]
-    assert all(any(np.array_equal(y, row[3:6]) for y in thin) for row in entries)
-    labels = [tick.get_text() for tick in axes.get_xticklabels()]
-    assert len(labels) == 23 and labels[:3] == ["x", "y", "z"]
-    assert {"left hand\n(m)", "elbow\n(rad)", "velocity\n(m/s)"} <= set(texts(axes.figure))
-    wide = [line for line in axes.lines if line.get_linewidth() == 3]
-    assert len(wide) == 8  # hands and elbows
+    drawn = [line.get_xdata() for line in lines_at(axes, style.body_color(1, 2))]
+    hand = entries.mean(axis=0)[:3]  # the left one
+    assert any(len(x) == 3 and np.allclose(x, hand, rtol=1e-12) for x in drawn)
+    assert all(any(np.array_equal(x, row) for x in drawn) for row in entries)
+    labels = [tick.get_text() for tick in axes.get_yticklabels()]
+    assert labels == feature_names("HumanoidR")
+    stripes = [patch for patch in axes.patches if patch.get_facecolor()[0] < 0.95]
+    assert len(stripes) == 3  # hands and elbows
 
 
-def test_affine_transforms_shows_the_best_ten(
+def test_figure_4_shows_the_best_policies(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("silem.paper.number", lambda name: 1)
-    axes = transforms.figure_4(frame, "offset").axes[0]
+    axes = transforms.by_feature(arms(frame)).axes[1]
     cell = results.cell(frame, "silem", "Humanoid")
     best = cell.loc[cell["return_mean"].idxmax(), "run_id"]
-    thin = [line for line in lines_at(axes, style.MUTED) if line.get_linewidth() == 0.8]
+    drawn = lines_at(axes, style.body_color(0, 2))
     offsets = results.load_transform(best)["b"]
-    assert len(thin) == len(feature_groups("Humanoid"))
-    assert np.array_equal(thin[0].get_ydata(), offsets[:3])
+    assert len(drawn) == len(feature_groups("Humanoid"))
+    assert np.array_equal(drawn[0].get_xdata(), offsets[:3])
 
 
 @synthetic.study("partial")
-def test_a_run_of_another_length_is_dashed_in_the_affine_transforms(frame: pd.DataFrame) -> None:
-    figure = transforms.figure_4(frame, "scale")
+def test_a_run_of_another_length_is_crosses_in_figure_4(frame: pd.DataFrame) -> None:
+    figure = transforms.by_feature(arms(frame))
     drawn = lines_at(figure.axes[0], style.body_color(1, 2))
-    assert drawn and {line.get_linestyle() for line in drawn} == {"--"}
+    assert drawn and {line.get_marker() for line in drawn} == {"x"}
     (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
-    assert label == f"HumanoidR, no run; dashed: {MOST:,} iterations"
+    assert label == f"HumanoidR, no run; ×: {MOST:,} iterations"
 
 
 def test_figures_of_other_bodies_are_refused(
@@ -179,8 +184,6 @@ def test_figures_of_other_bodies_are_refused(
 ) -> None:
     with pytest.raises(SilemError, match="affine_or_mlp shows HC0; the runs of study 'humanoids'"):
         scores.affine_or_mlp(frame)
-    with pytest.raises(SilemError, match="allowed: scale, offset"):
-        transforms.figure_4(frame, "a")
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     with pytest.raises(SilemError, match="humanoid_scores shows Atlas"):
         humanoid_scores(results.load_records("halfcheetah", "book"))
@@ -194,8 +197,6 @@ def test_transforms_of_another_length_are_refused(
     monkeypatch.setattr(synthetic, "FEATURES", (*FEATURES, *FEATURES[:7]))
     synthetic.write_record(planned("silem", "Humanoid"))
     loaded = results.load_records("humanoids", "book")
-    with pytest.raises(SilemError, match="23 features"):
-        transforms.figure_4(loaded, "scale")
     with pytest.raises(SilemError, match="23 features"):
         transforms.by_feature(loaded)
 

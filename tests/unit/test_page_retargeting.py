@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import synthetic_records as synthetic
 from drawn import assert_readable, lines_at
 from matplotlib.colors import same_color
 from matplotlib.patches import Circle
@@ -15,7 +17,7 @@ from scipy.optimize import minimize
 
 from silem.bodies.humanoid import ARM_FACTORS
 from silem.motion.demonstrator import Motion, published_motion
-from silem.motion.features import POINTS
+from silem.motion.features import FEATURES, POINTS
 from silem.motion.kinematics import SIDES
 from silem.motion.retargeting import (
     BODIES,
@@ -29,6 +31,10 @@ from silem.motion.retargeting import (
 from silem.report import film, style
 from silem.report.pages import retargeting as page
 from silem.report.pages.demonstration import SIDE_COLORS
+from silem.report.results import load_records
+from silem.study.config import RunConfig
+from silem.study.studies import _LARGER_STEPS
+from silem.util import files
 from silem.util.errors import SilemError
 
 every_body = pytest.mark.parametrize("index", range(len(BODIES)), ids=BODIES)
@@ -136,6 +142,31 @@ def test_limb_ratios_tell_the_short_arm_from_the_long_one(
         assert changed[arm] == pytest.approx(factor * plain[arm], rel=1e-6)
     assert changed["leg"] == plain["leg"]
     assert table.loc["the man's, in m", "leg"] == pytest.approx(0.81, abs=0.01)
+
+
+def test_scales_invert_what_silem_learned_and_quote_the_tools(
+    results: list[IKResult], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    empty = page.scales(results, load_records("humanoids"))
+    assert empty["by"].str.contains("of SILEM, no run").sum() == len(BODIES)
+    record = synthetic.write_record(
+        RunConfig.create(
+            "HumanoidR", "silem", budget="book", study="humanoids", **dict(_LARGER_STEPS)
+        )
+    )
+    names = [feature.name for feature in FEATURES]
+    a = files.read_npz(record.folder / "transform.npz")["A"]
+    table = page.scales(results, load_records("humanoids"))
+    (learned,) = table[table["by"].str.endswith("one trial")].to_dict("records")
+    for limb in ("left_hand", "right_hand"):
+        mean = np.mean([a[names.index(f"{limb}_{axis}")] for axis in "xyz"])
+        assert learned[limb.replace("_", " ")] == pytest.approx(1 / mean)
+    assert learned["left hand"] < 1 < learned["right hand"]  # as the arms are
+    measured = table.loc["HumanoidR"].iloc[0]
+    assert measured["right hand"] == results[1].ratios.right_arm
+    assert list(table.loc["TALOS", ["left hand", "right hand", "feet"]]) == [0.8, 0.8, 1.1]
+    assert table["by"].str.contains("github.com/YanjieZe/GMR").sum() == 3
 
 
 def test_hands_say_how_far_and_whereto_a_hand_is_off(

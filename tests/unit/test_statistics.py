@@ -39,11 +39,46 @@ def test_one_trial_has_neither_interval_nor_power() -> None:
     assert np.isnan(statistics.detectable([7.0], [1.0, 2.0], n_trials=5))
 
 
+def test_rank_correlation_by_hand_and_by_its_coverage(rng: np.random.Generator) -> None:
+    # Ranks 1 2 3 4 5 against 2 1 4 3 5: 1 - 6 * 4 / (5 * 24) = 0.8
+    found = statistics.rank_correlation([1, 2, 3, 4, 5], [20, 10, 40, 30, 50])
+    half = 1.95996 * ((1 + 0.32) / 2) ** 0.5
+    ends = np.tanh([np.arctanh(0.8) - half, np.arctanh(0.8) + half])
+    np.testing.assert_allclose(found, [0.8, *ends], atol=1e-5)
+    assert statistics.rank_correlation([1, 2, 3, 4], [1, 8, 27, 64])[1:] == pytest.approx((1, 1))
+    true, within = 6 / np.pi * np.arcsin(0.6 / 2), 0
+    for _ in range(1000):
+        x = rng.normal(size=35)
+        y = 0.6 * x + 0.8 * rng.normal(size=35)
+        _, low, high = statistics.rank_correlation(x, y)
+        within += low <= true <= high
+    assert 0.92 < within / 1000 < 0.98
+
+
 def test_wins_by_hand() -> None:
     # Pairs: 1 < 2, 1 < 3, 4 > 2, 4 > 3; then one tie of 3 with 3.
     assert statistics.wins([1.0, 4.0], [2.0, 3.0]) == 0.5
     assert statistics.wins([3.0, 4.0], [2.0, 3.0]) == (3 + 0.5) / 4
     assert np.isnan(statistics.wins([], [1.0]))
+
+
+def test_interval_of_wins_by_hand_and_in_simulated_studies(rng: np.random.Generator) -> None:
+    # One pair, won: (1 - p)^2 = z^2 p (1 - p), so p = 1 / (1 + z^2).
+    z = stats.norm.ppf(0.975)
+    np.testing.assert_allclose(statistics.wins_interval([2.0], [1.0]), [1 / (1 + z**2), 1.0])
+    np.testing.assert_allclose(statistics.wins_interval([1.0], [2.0]), [0.0, z**2 / (1 + z**2)])
+    low, high = statistics.wins_interval([1.0, 2.0], [1.0, 2.0])
+    assert low == pytest.approx(1 - high) and 0 < low < 0.5
+    assert np.isnan(statistics.wins_interval([], [1.0])).all()
+    for count in (3, 5):
+        held = 0
+        for scores in rng.normal(size=(200, 2, count)):
+            low, high = statistics.wins_interval(scores[0] + 1, scores[1])
+            held += low <= stats.norm.cdf(0.5**0.5) <= high
+        assert 0.9 <= held / 200 <= 0.995
+    # five against five, all won, decide; three against three hardly
+    assert statistics.wins_interval(range(5, 10), range(5))[0] > 0.6
+    assert statistics.wins_interval(range(3, 6), range(3))[0] < 0.51
 
 
 @pytest.mark.parametrize("two", [False, True])

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import synthetic_records as synthetic
 
-from silem.report import summary
+from silem.report import results, style, summary
 from silem.study.config import RunConfig
 from silem.study.studies import STUDIES, study_configs
 
@@ -50,10 +50,40 @@ def test_hours_left_are_the_missing_steps_at_the_speed_of_the_like() -> None:
 
 
 def test_every_claim_is_in_the_reviewers_table() -> None:
-    judged = summary.judged()
-    text = "".join(cell for row in summary.verdicts().rows for cell in row)
-    assert text.count("undecided:**") == (judged["verdict"] == "undecided").sum() == len(judged)
+    synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=0), 2000.0)
+    judged, rows = summary.judged(), dict(summary.verdicts().rows)
+    expert, *others = rows.pop("The expert's return is the paper's").split("<br>")
+    assert expert.startswith("**HC0 undecided:** return 2,0") and not others
+    waiting = [text.partition("no value yet:** ")[2].split(", ") for text in rows.values()]
+    assert sum(map(len, waiting)) == len(judged) - 1 and all(map(all, waiting))
     assert summary.counts()["few"] == summary.counts()["undecided"] == str(len(judged))
+
+
+def test_improvement_and_profiles_show_what_the_runs_say() -> None:
+    returns = {"silem": (900, 800, 700), "tpil": (100, 200, 300), "peng20": (750,)}
+    for plan in study_configs("humanoids", "book"):
+        known = returns.get(plan.method, ()) if plan.body == "Atlas" else ()
+        if plan.seed < len(known):
+            synthetic.write_record(plan, float(known[plan.seed]))
+    frame = results.load_records("humanoids", "book")
+    (axes,) = summary.improvement(frame).axes
+    rows = [label.get_text() for label in axes.get_yticklabels()]
+    said = [text.get_text() for text in axes.texts]
+    assert len(rows) == 9 and said.count("no run") == 7
+    points = {round(y): (x, line.get_mfc()) for line in axes.lines if line.get_marker() != "None"
+              for x, y in [line.get_xydata()[0]]}  # fmt: skip
+    assert said[rows.index("TPIL, Atlas")] == "3 and 3 trials"
+    share, face = points[rows.index("TPIL, Atlas")]
+    assert share == 1 and face != "white"  # decided
+    share, face = points[rows.index("Peng20, Atlas")]
+    assert share == pytest.approx(2 / 3) and face == "white"
+
+    (axes,) = summary.profiles(frame).axes
+    lines = {line.get_color(): line.get_xydata() for line in axes.lines}
+    taus, shares = lines[style.method("silem").color].T
+    assert shares[taus < 0.69].tolist() == [1.0] * (taus < 0.69).sum()
+    assert shares[(taus > 0.71) & (taus < 0.79)] == pytest.approx(2 / 3)
+    assert not axes.collections  # three runs have no band
 
 
 def test_every_demonstration_has_a_card_with_a_licence(monkeypatch: pytest.MonkeyPatch) -> None:

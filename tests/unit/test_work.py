@@ -18,11 +18,19 @@ import synthetic_records as synthetic
 from silem import paper
 from silem.cli import main
 from silem.motion import demonstrations
-from silem.study import runs, work
+from silem.study import demonstrate, runs, work
 from silem.study.config import RunConfig
 from silem.study.record import CHECKPOINT, PROGRESS, RECORD
 from silem.study.settings import BUDGETS
-from silem.study.studies import SEARCH_SEEDS, TRIAL_SEEDS, cells, ranking, study_configs
+from silem.study.studies import (
+    SEARCH_SEEDS,
+    TORSOS,
+    TRIAL_SEEDS,
+    cells,
+    fresh_configs,
+    ranking,
+    study_configs,
+)
 from silem.util import files, paths
 from silem.util.errors import SilemError
 
@@ -60,6 +68,37 @@ def test_the_ant_studys_cells_are_those_of_figure_2d() -> None:
     }
     plain = {config.run_id for config in configs}
     assert all(c.hyper.absorbing_states and c.run_id not in plain for c in small)
+
+
+def test_a_ladder_has_experts_of_its_own_and_one_combination() -> None:
+    configs = study_configs("ladder", "book")
+    assert len(configs) == (8 * 5 + 1) * 2
+    for body in TORSOS:
+        own = [c for c in configs if c.body == body and c.method == "ppo"]
+        assert demonstrate.experts(body, "book") == own and {c.seed for c in own} == {0, 1}
+        assert [c.run_id for c in demonstrate.experts(body, "book", 1)] == [own[1].run_id]
+        needs = next(c for c in configs if c.demonstrations == body)
+        assert work.experts_of(needs) == own
+    assert {c.study for c in demonstrate.experts("HC2", "book")} == {"halfcheetah"}
+    assert {c.study for c in demonstrate.experts("HC0-slope-5", "book")} == {"halfcheetah"}
+    # the paper has other combinations for HC1 and HC2, which are as long as two of these
+    hyper = {c.hyper for c in study_configs("halfcheetah", "book") if c.method == "silem"}
+    ladder = {c.hyper for c in configs if c.method == "silem"}
+    assert len(ladder) == 1 and ladder < hyper and len(hyper) > 1
+
+
+def test_what_goes_beyond_the_paper_repeats_none_of_its_runs() -> None:
+    beyond = ("ladder", "ladder-ant", "slope", "slope-humanoid", "ensembles", "arm-lengths")
+    papers = {
+        (c.method, c.body, c.hyper)
+        for study in ("halfcheetah", "ant", "humanoids")
+        for c in study_configs(study, "book", 1)
+    }
+    for study in beyond:
+        found = [(c.method, c.body, c.hyper) for c in study_configs(study, "book", 1)]
+        assert not papers & set(found) and len(set(found)) == len(found)
+    counts = [c.hyper.transform_components for c in study_configs("ensembles", "book", 1)]
+    assert counts == [2, 4, 8] * 3
 
 
 def test_the_first_trial_of_every_cell_comes_before_any_second() -> None:
@@ -103,6 +142,40 @@ def test_a_search_is_ranked_by_the_mean_over_its_trials() -> None:
     assert [entry.is_papers for entry in found] == [True, False, False]
     assert [entry.score for entry in found] == sorted([e.score for e in found], reverse=True)
     assert found[0].run_ids == (configs[0].run_id, configs[4].run_id)
+
+
+def test_a_searchs_winner_is_run_again_on_seeds_that_have_not_chosen_it() -> None:
+    search, budget = "halfcheetah/HC2/silem-minus", "quick"
+    configs = study_configs(search, budget, 2, 3)
+    for config, value in zip(configs, [100, 500, 300, 900, 700, 200], strict=True):
+        with pytest.raises(SilemError, match=r"the winner of .* is not known yet: "):
+            fresh_configs(search, budget, 2, 3)
+        synthetic.write_record(config, value)
+    fresh = fresh_configs(search, budget, 2, 3)  # the second has the highest mean
+    assert [c.seed for c in fresh] == [102, 102, 103, 103, 104, 104]
+    assert {c.hyper for c in fresh} == {configs[0].hyper, configs[1].hyper}
+    assert not {c.run_id for c in fresh} & {c.run_id for c in configs}
+    for config in fresh:
+        synthetic.write_record(config, 0 if config.hyper == configs[1].hyper else 400)
+    winner, supplements, _ = ranking(search, budget, 2, 3)
+    assert [round(value, -2) for value in (*winner.returns, *winner.fresh)] == [500, 700, 0, 0, 0]
+    assert supplements.is_papers and len(supplements.fresh) == 3
+    with pytest.raises(SilemError, match="has no fresh seeds: its 5 trials have used all"):
+        for config in study_configs(search, budget, 5, 1):
+            synthetic.write_record(config, 1.0)
+        fresh_configs(search, budget, 5, 1)
+    everything = fresh_configs(search, budget, 2, 1)  # the winner is the supplement's
+    assert len(everything) == 3
+
+
+def test_a_searchs_records_are_published_and_no_other_of_a_small_budget() -> None:
+    (searched,) = study_configs("ant/Ant3/silem", "quick", 1, 1)
+    assert searched.is_published and RunConfig.create("HC0", "ppo", budget="book").is_published
+    for config in (
+        RunConfig.create("HC0", "ppo", budget="quick"),
+        study_configs("ant/Ant3/silem", "tiny", 1, 1)[0],
+    ):
+        assert not config.is_published
 
 
 def publish(content: bytes) -> None:

@@ -4,10 +4,7 @@ Its stick figures, landmarks with left and right in the colours of their side, a
 other pages on humanoids.
 """
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -118,8 +115,7 @@ def poses(motion: Motion) -> Figure:
         x, y = seen[state, POINTS.index("head")]
         label = f"{state / motion.rate_hz:.2f} s"
         axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
-    figure.legend(handles=handles("side"), loc="outside upper left", ncols=2)
-    return figure
+    return style.finish(figure, handles("side"), ncols=2)
 
 
 @style.applied()
@@ -127,38 +123,31 @@ def features(motion: Motion) -> Figure:
     """Draw every feature over time, left and right in one panel, shaded while a foot stands."""
     columns = {feature.name: column for column, feature in enumerate(FEATURES)}
     time_s = np.arange(len(motion.features)) / motion.rate_hz
-    stances = list(_stances(motion))
-    figure, grid = style.new_figure(8.2, nrows=len(_PANELS) // 3, ncols=3, sharex=True)
-    for axes, (title, names) in zip(grid.flat, _PANELS, strict=True):
-        unit = FEATURES[columns[names[0]]].unit
-        axes.set_title(f"{title} ({unit})" if unit else title, fontweight="normal", pad=4)
-        for side, start_s, end_s in stances:
-            axes.axvspan(start_s, end_s, color=SIDE_COLORS[side], alpha=0.12, lw=0)
+    titles = [
+        f"{title} ({unit})" if (unit := FEATURES[columns[names[0]]].unit) else title
+        for title, names in _PANELS
+    ]
+    figure, grid = style.panels(titles, 1.55, 3, sharex=True)
+    for axes, (_, names) in zip(grid, _PANELS, strict=True):
+        for side, stands in zip(SIDES, standing_feet(motion).T, strict=True):
+            edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
+            for start, end in edges.reshape(-1, 2) / motion.rate_hz:
+                last = end - 1 / motion.rate_hz
+                axes.axvspan(start, last, color=SIDE_COLORS[side], alpha=0.12, lw=0)
         for name in names:
             values = motion.features[:, columns[name]]
             axes.plot(time_s, values, color=side_color(name), lw=1.4)
         axes.set_xlim(0, time_s[-1])
         axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         axes.ticklabel_format(axis="y", useOffset=False)
-    for axes in grid[-1]:
+    for axes in grid[-3:]:
         axes.set_xlabel("time (s)")
-    figure.align_xlabels(grid[-1])
+    figure.align_xlabels(grid[-3:])
     colors = {**SIDE_COLORS, "whole body": style.INK}
     lines = [style.handle(color, label, lw=1.8) for label, color in colors.items()]
-    spans = [
-        Patch(color=color, alpha=0.25, lw=0, label=f"{side} foot stands")
-        for side, color in SIDE_COLORS.items()
-    ]
-    figure.legend(handles=[*lines, *spans], loc="outside upper left", ncols=5)
-    return figure
-
-
-def _stances(motion: Motion) -> Iterator[tuple[str, float, float]]:
-    """Return each stretch of time in which a foot stands: side, start and end in s."""
-    for side, stands in zip(SIDES, standing_feet(motion).T, strict=True):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]])))
-        for start, end in edges.reshape(-1, 2):
-            yield side, start / motion.rate_hz, (end - 1) / motion.rate_hz
+    look: dict[str, Any] = {"alpha": 0.25, "lw": 0}
+    spans = [Patch(color=c, label=f"{s} foot stands", **look) for s, c in SIDE_COLORS.items()]
+    return style.finish(figure, [*lines, *spans], ncols=5)
 
 
 def clips() -> pd.DataFrame:

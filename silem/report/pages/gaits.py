@@ -1,15 +1,12 @@
 """The gaits of one body's experts: what they show, how they run, what imitators make of them."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 from scipy import signal, stats
@@ -20,10 +17,10 @@ from silem.bodies.half_cheetah import nose_touch_pitch_rad
 from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import film, results, scores, style, tables
 from silem.report.style import number
-from silem.report.transforms import Group, feature_groups
+from silem.report.transforms import feature_groups
 from silem.study import demonstrate, runs
 from silem.study.config import TRIAL_SEEDS
-from silem.study.demonstrate import demonstrator, experts, trial_name
+from silem.study.demonstrate import experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.study.settings import expert_of
@@ -31,7 +28,6 @@ from silem.study.studies import cells
 from silem.util.errors import SilemError, choose
 
 _METHODS = ("silem", "silem-minus")
-_PICTURE = (320, 240)  # pixels of one clip in a grid
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
@@ -64,63 +60,53 @@ def load(body: str, budget: str, n_trajectories: int) -> Shown:
         name = f"{body}_s{config.seed}"
         shown[name] = None
         if record := runs.find(config.run_id):
-            episodes = _episodes(record, n_trajectories)
+            known = [n for n in (trial_name(record), body) if file_of(n).exists()]
+            known = [n for n in known if entry(n)["expert_run_id"] == record.run_id]
+            if known:
+                episodes = Demonstrations.load(known[0])
+            else:
+                policy = load_policy(record)
+                episodes = record_episodes(policy, body, n_trajectories, run_id=record.run_id)
             shown[name] = ExpertGait(record, episodes, demonstrate.gait(episodes))
     return shown
-
-
-def _episodes(record: RunRecord, n_trajectories: int) -> Demonstrations:
-    body = record.config["body"]
-    for name in (trial_name(record), body):
-        if file_of(name).exists() and entry(name)["expert_run_id"] == record.run_id:
-            return Demonstrations.load(name)
-    return record_episodes(load_policy(record), body, n_trajectories, run_id=record.run_id)
 
 
 @style.applied()
 def trajectory(demonstrations: Demonstrations, duration_s: float = 2.0) -> Figure:
     """Draw the start of a runner's first demonstrated trajectory, every feature over time."""
     runners = [name for name in bodies.names() if bodies.get(name).engine == "bullet"]
-    body = bodies.get(choose("runner", demonstrations.body, runners))
-    values = demonstrations.features[0][: max(2, round(duration_s / BulletBody.control_step_s))]
-    *lines, contacts = feature_groups(body.name)
+    body, step_s = choose("runner", demonstrations.body, runners), BulletBody.control_step_s
+    values = demonstrations.features[0][: max(2, round(duration_s / step_s))]
+    *lines, contacts = feature_groups(body)
     heights = [3.2, 3, 3, 0.34 * len(contacts.columns)]
     figure, grid = style.new_figure(7.2, nrows=4, sharex=True, height_ratios=heights)
-    time_s = np.arange(len(values)) * BulletBody.control_step_s
     for axes, group in zip(grid[:3], lines, strict=True):
         axes.set_prop_cycle(color=mpl.colormaps["tab10"].colors)  # type: ignore[attr-defined]
-        axes.plot(time_s, values[:, group.columns], lw=1.2, label=group.labels)
+        axes.plot(step_s * np.arange(len(values)), values[:, group.columns], lw=1.2)
         axes.set_ylabel(f"{group.name}\n({group.unit})")
-        axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8, handlelength=1.2)
-    _draw_contacts(grid[3], values, contacts)
-    grid[3].set_xlabel("time (s)")
+        place = {"loc": "center left", "bbox_to_anchor": (1, 0.5)}
+        axes.legend(axes.lines, group.labels, **place, fontsize=8, handlelength=1.2)
+    for row, column in enumerate(contacts.columns):  # a bar while a part touches the floor
+        edges = np.flatnonzero(np.diff(values[:, column] > 0.5, prepend=False, append=False))
+        bars = step_s * np.stack([edges[::2], edges[1::2] - edges[::2]], axis=1)
+        grid[3].broken_barh(bars.tolist(), (row - 0.35, 0.7), color=style.INK, lw=0)
+    grid[3].set_yticks(range(len(contacts.labels)), contacts.labels)
+    grid[3].set(ylim=(len(contacts.labels) - 0.4, -0.6), ylabel=contacts.name, xlabel="time (s)")
+    grid[3].grid(visible=False, axis="y")
     figure.align_ylabels(grid)
     return figure
-
-
-def _draw_contacts(axes: Axes, values: np.ndarray, group: Group) -> None:
-    """Draw a bar for every stretch of time in which a part touches the floor."""
-    for row, column in enumerate(group.columns):
-        touching = np.concatenate([[False], values[:, column] > 0.5, [False]])
-        starts, ends = np.flatnonzero(np.diff(touching)).reshape(-1, 2).T
-        bars = BulletBody.control_step_s * np.stack([starts, ends - starts], axis=1)
-        axes.broken_barh(bars.tolist(), (row - 0.35, 0.7), color=style.INK, lw=0)
-    axes.set_yticks(range(len(group.labels)), group.labels)
-    axes.set_ylim(len(group.labels) - 0.4, -0.6)
-    axes.grid(visible=False, axis="y")
-    axes.set_ylabel(group.name)
 
 
 def chosen(body: str, budget: str) -> tuple[str, str]:
     """Return the demonstrator's name, "" until all experts are finished, and a sentence on it."""
     try:
-        record = demonstrator(body, budget)
+        record = demonstrate.demonstrator(body, budget)
     except SilemError as error:
         return "", f"No demonstrator yet: {error}."
-    value = number(record.evaluation["return_mean"])
     return trial_name(record), (
         f"The demonstrator is trial {record.config['seed']}: of the"
-        f" {len(experts(body, budget))} experts it has the highest evaluation return, {value}."
+        f" {len(experts(body, budget))} experts it has the highest evaluation return,"
+        f" {number(record.evaluation['return_mean'])}."
     )
 
 
@@ -130,10 +116,8 @@ def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
     span = f"{number(usual.min())} to {number(usual.max())} ({style.trials(len(usual))})"
     lines = []
     for cell in (cell for cell in cells("fidelity") if cell.body == "HC0"):
-        ((name, _),) = cell.overrides
-        run = runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id)
-        told = "not run yet"
-        if run is not None:
+        ((name, _),), told = cell.overrides, "not run yet"
+        if run := runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id):
             found = run.evaluation
             told = f"{number(found['return_mean'])} at {number(found['speed_m_s'], 2)} m/s"
         lines.append(f"- **{_UNLIKE[name]}**: {told}; otherwise {span}.")
@@ -163,20 +147,18 @@ def table(shown: Shown, demonstrator_name: str) -> Styler:
     return tables.styled(pd.DataFrame(rows).fillna(style.DASH))
 
 
-def film_experts(shown: Shown, duration_s: float) -> film.Clip | None:
-    """Film all experts that are there, side by side from one start; None without any."""
-    return _film(
-        {
-            f"trial {_trial(name)}, {expert.gait.speed_m_s:.2f} m/s": expert.record
-            for name, expert in shown.items()
-            if expert is not None
-        },
-        duration_s,
-    )
+def by_trial(shown: Shown) -> dict[str, RunRecord]:
+    """Return the experts that are there, by what to call them in a film."""
+    return {
+        f"trial {_trial(name)}, {expert.gait.speed_m_s:.2f} m/s": expert.record
+        for name, expert in shown.items()
+        if expert is not None
+    }
 
 
-def _film(found: Mapping[str, RunRecord], duration_s: float) -> film.Clip | None:
-    return film.grid(film.of_runs(found, duration_s, _PICTURE)) if found else None
+def side_by_side(found: Mapping[str, RunRecord], duration_s: float) -> film.Clip | None:
+    """Film runs, by what to call them, side by side from one start; None without any."""
+    return film.grid(film.of_runs(found, duration_s, (320, 240))) if found else None
 
 
 def strides(pitch: np.ndarray) -> np.ndarray:
@@ -200,16 +182,15 @@ def strides(pitch: np.ndarray) -> np.ndarray:
 @style.applied()
 def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
     """Draw each expert's pitch over a stride: median, and the middle 80 % of all strides."""
-    figure, grid = style.new_figure(2.3, ncols=len(shown), sharex=True, sharey=True, squeeze=False)
-    for axes, (name, found) in zip(grid[0], shown.items(), strict=True):
-        mark = name == demonstrator_name
-        color = style.method("silem").color if mark else style.INK
-        axes.set_title(f"trial {_trial(name)}{' ●' if mark else ''}")
+    titles = [f"trial {_trial(name)}{' ●' * (name == demonstrator_name)}" for name in shown]
+    figure, grid = style.panels(titles, 1.9, len(titles), sharex=True, sharey=True)
+    for axes, (name, found) in zip(grid, shown.items(), strict=True):
+        color = style.method("silem").color if name == demonstrator_name else style.INK
         axes.axhline(0, color=style.MUTED, lw=0.8, ls=style.DASHED)
         axes.set_xlim(0, 1)
         axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
         if found is None:
-            axes.text(0.5, 0.5, "no run", transform=axes.transAxes, ha="center", va="bottom")
+            style.say(axes, "no run")
             continue
         episodes = found.demonstrations.features
         cut = np.concatenate([strides(demonstrate.pitch_rad(states)) for states in episodes])
@@ -218,10 +199,9 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
             axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)
             axes.plot(_PHASES, middle, color=color, lw=1.8)
         axes.axhline(found.gait.pitch_rad, color=color, lw=0.8, alpha=0.6)
-    grid[0][0].set_ylabel("pitch (rad), nose down")
+    grid[0].set_ylabel("pitch (rad), nose down")
     note = "phase of a stride, cut at the highest pitch; line: median, band: middle 80 %"
-    style.footer(figure, f"{note}; ●: the demonstrator")
-    return figure
+    return style.finish(figure, note=f"{note}; ●: the demonstrator")
 
 
 @style.applied()
@@ -234,86 +214,70 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     a band reaches from there to where it does so with the leg stretched.
     """
     names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
-    pitches = [e.gait.pitch_rad for name in names if (e := shown[name])]
-    score = _score_column(frame)
+    found = {x: e.gait for x, name in enumerate(names) if (e := shown[name])}
+    score, learners = _score_column(frame), results.body_names(frame)
     titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
-    learners = results.body_names(frame)
-    figure, grid = style.new_figure(
-        4.6, nrows=2, ncols=len(learners), sharex=True, sharey="row", squeeze=False
-    )
-    for column, body in zip(grid.T, learners, strict=True):
+    size = {"nrows": 2, "ncols": len(learners), "squeeze": False}
+    figure, grid = style.new_figure(4.6, sharex=True, sharey="row", **size)
+    for row, column in itertools.product(range(2), range(len(learners))):
+        axes, quantity, body = grid[row, column], list(titles)[row], learners[column]
         touch = nose_touch_pitch_rad(bodies.of_kind(body, BulletBody))
-        column[0].set_title(f"{body}: nose on the floor from {number(touch[0], 2)} rad")
-        for axes, quantity in zip(column, titles, strict=True):
-            _draw_slots(axes, frame[frame["body"] == body], names, quantity)
-            if pitches:
-                ends = {"left": -0.5, "right": len(names) - 0.5}
-                low, high = np.interp(touch, pitches, range(len(pitches)), **ends)
-                axes.axvline(low, color=style.WARNING, lw=1.2, ls=style.DASHED)
-                axes.axvspan(low, high, color=style.WARNING, alpha=0.07, lw=0)
-        labels = []
+        axes.set(xlim=(-0.5, len(names) - 0.5))
+        axes.update_datalim([(0, 0), (0, 1)])  # no zooming in on a lone run
+        axes.autoscale_view(scalex=False)
+        if found:
+            ends = {"left": -0.5, "right": len(names) - 0.5}
+            pitches = [gait.pitch_rad for gait in found.values()]
+            low, high = np.interp(touch, pitches, range(len(pitches)), **ends)
+            axes.axvline(low, color=style.WARNING, lw=1.2, ls=style.DASHED)
+            axes.axvspan(low, high, color=style.WARNING, alpha=0.07, lw=0)
+        if row == 0:
+            axes.set_title(f"{body}: nose on the floor from {number(touch[0], 2)} rad")
+        if column == 0:
+            axes.set_ylabel(titles[quantity])
         for x, name in enumerate(names):
-            about = "no run"
-            if (found := shown[name]) is not None:
-                g = found.gait
-                column[1].hlines(g.speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
-                about = f"{number(g.pitch_rad, 2)} rad\n{g.joints_at_limit:.1f} joints"
-            labels.append(f"trial {_trial(name)}\n{about}")
-        column[1].set_xticks(range(len(names)), labels)
-        column[1].tick_params(axis="x", labelsize=7.5, length=0)
-    for axes, title in zip(grid[:, 0], titles.values(), strict=True):
-        axes.set_ylabel(title)
+            here = frame[(frame["body"] == body) & (frame["demonstrations"] == name)]
+            if row == 0 and here[quantity].isna().all():  # said once
+                style.empty_slot(axes, x, "no run" if here.empty else "no expert")
+            for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
+                values = here[here["method"] == method][quantity].dropna().to_numpy()
+                if len(values):
+                    scores.draw_trials(axes, x + offset, values, method)
+            if row == 1 and x in found:
+                axes.hlines(found[x].speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
+        labels = [f"trial {_trial(name)}\n" for name in names]
+        about = {x: f"{number(g.pitch_rad, 2)} rad\n{g.joints_at_limit:.1f} joints"
+                 for x, g in found.items()}  # fmt: skip
+        labels = [label + about.get(x, "no run") for x, label in enumerate(labels)]
+        axes.set_xticks(range(len(names)), labels)
+        axes.tick_params(axis="x", labelsize=7.5, length=0)
     handles = style.marks((style.method(method, short=True) for method in _METHODS), ms=7)
     handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
     label = "its nose touches the floor"
     handles.append(style.handle(style.WARNING, label, lw=1.2, ls=style.DASHED))
-    figure.legend(handles=handles, loc="outside upper left", ncols=4)
     note = (
         "below: the demonstrator's mean pitch, and how many of its joints are at a limit; the nose"
         " touches with the back foot on the floor, its leg at rest (line) to stretched (band)"
     )
-    scores.footer(figure, frame, note)
-    return figure
+    return scores.finish(figure, frame, handles, note, ncols=4)
 
 
-def _draw_slots(axes: Axes, frame: pd.DataFrame, names: Sequence[str], quantity: str) -> None:
-    axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.update_datalim([(0, 0), (0, 1)])  # no zooming in on a lone run
-    axes.autoscale_view(scalex=False)
-    for x, name in enumerate(names):
-        here = frame[frame["demonstrations"] == name]
-        if quantity != "speed_m_s" and here[quantity].isna().all():  # said once
-            style.empty_slot(axes, x, "no run" if here.empty else "no expert")
-        for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
-            look, values = style.method(method), here[here["method"] == method][quantity]
-            places = np.full(len(values), x + offset)
-            axes.plot(places, values, look.marker, color=look.color, ms=7, mec="white", zorder=3)
+def effects(values: np.ndarray) -> tuple[float, float, float, float]:
+    """Analyse the variance of values (R, 2), demonstrators by methods, R of 2 or more.
 
-
-class Effects(NamedTuple):
-    """What moves the entries of a table: sums of squares as shares, and p of the F tests."""
-
-    rows_share: float
-    columns_share: float
-    rows_p: float
-    columns_p: float
-
-
-def effects(values: np.ndarray) -> Effects:
-    """Analyse the variance of values (R, C), one per row and column, R and C of 2 or more."""
-    n_rows, n_columns = values.shape
-    freedom = (n_rows - 1) * (n_columns - 1)
-    rows = n_columns * n_rows * float(values.mean(axis=1).var())
-    columns = n_columns * n_rows * float(values.mean(axis=0).var())
+    Returns:
+        The shares of the sums of squares that go with rows and with columns, and the p of their
+        F tests; that of two columns is Student's paired t test.
+    """
+    first, second = values.T
     total = float(values.size * values.var())
     if total == 0:
-        return Effects(0.0, 0.0, 1.0, 1.0)
-    error = max(total - rows - columns, 1e-12 * total) / freedom
-    rows_p, columns_p = (
-        float(stats.f.sf(part / (count - 1) / error, count - 1, freedom))
-        for part, count in ((rows, n_rows), (columns, n_columns))
-    )
-    return Effects(rows / total, columns / total, rows_p, columns_p)
+        return 0.0, 0.0, 1.0, 1.0
+    rows, columns = values.size * values.mean(axis=1).var(), values.size * values.mean(axis=0).var()
+    ratio = (first + second).var() / max((first - second).var(), 1e-12 * total)
+    freedom = len(values) - 1
+    rows_p = float(stats.f.sf(ratio, freedom, freedom))
+    return rows / total, columns / total, rows_p, float(stats.ttest_rel(first, second).pvalue)
 
 
 def decided(frame: pd.DataFrame, shown: Shown) -> str:
@@ -322,38 +286,34 @@ def decided(frame: pd.DataFrame, shown: Shown) -> str:
     An analysis of variance without replication: demonstrators are rows, methods columns, and what
     neither explains is the error that both are tested against (F tests at 5 %).
     """
-    score = _score_column(frame)
-    lines = []
+    score, lines = _score_column(frame), []
+    write = {"digits": 2 if score == "normalised" else 0}
     for body in results.body_names(frame):
-        here = frame[frame["body"] == body]
-        by_method = here.pivot_table(score, "demonstrations", "method")
+        by_method = frame[frame["body"] == body].pivot_table(score, "demonstrations", "method")
         both = by_method.reindex(columns=list(_METHODS)).dropna()
-        told = _told(both, 2 if score == "normalised" else 0) if len(both) > 1 else ""
         known = f"{len(both)} of {len(shown)} demonstrators have both scores."
-        lines.append(f"- **{body}**: {known + told if told else f'not to be told yet; {known}'}")
+        if len(both) < 2:
+            lines.append(f"- **{body}**: not to be told yet; {known}")
+            continue
+        means = both.mean(axis=1).rename(_trial)
+        rows, columns, rows_p, columns_p = effects(both.to_numpy())
+        verdict = {
+            (True, True): "Both the teacher and the transform matter.",
+            (True, False): "The teacher decided, not the transform.",
+            (False, True): "The transform decided, not the teacher.",
+            (False, False): "Neither can be told from chance with these runs.",
+        }[rows_p < _CHANCE, columns_p < _CHANCE]
+        gain = number(float((both["silem"] - both["silem-minus"]).mean()), **write)
+        lines.append(
+            f"- **{body}**: {known} Between them the score goes from"
+            f" {number(means.min(), **write)} (trial {means.idxmin()}) to"
+            f" {number(means.max(), **write)} (trial {means.idxmax()}); the transform"
+            f" changes it by {gain} on average. {number(100 * rows)} % of the variance"
+            f" goes with the demonstrator (p = {rows_p:.2g}),"
+            f" {number(100 * columns)} % with the transform (p = {columns_p:.2g}),"
+            f" the rest with chance and how the two meet. {verdict}"
+        )
     return "\n".join(lines)
-
-
-def _told(both: pd.DataFrame, digits: int) -> str:
-    """Say what moved the scores of a body's imitators, demonstrators by methods."""
-    means, found = both.mean(axis=1), effects(both.to_numpy())
-    gain = float((both["silem"] - both["silem-minus"]).mean())
-    verdict = {
-        (True, True): "Both the teacher and the transform matter.",
-        (True, False): "The teacher decided, not the transform.",
-        (False, True): "The transform decided, not the teacher.",
-        (False, False): "Neither can be told from chance with these runs.",
-    }[found.rows_p < _CHANCE, found.columns_p < _CHANCE]
-    return (
-        f" Between them the score goes from"
-        f" {number(means.min(), digits)} (trial {_trial(str(means.idxmin()))}) to"
-        f" {number(means.max(), digits)} (trial {_trial(str(means.idxmax()))}); the transform"
-        f" changes it by {number(gain, digits)} on average."
-        f" {number(100 * found.rows_share)} % of the variance"
-        f" goes with the demonstrator (p = {found.rows_p:.2g}),"
-        f" {number(100 * found.columns_share)} % with the transform (p = {found.columns_p:.2g}),"
-        f" the rest with chance and how the two meet. {verdict}"
-    )
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
@@ -365,11 +325,6 @@ def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
         f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
         for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
     }
-
-
-def film_extremes(frame: pd.DataFrame, duration_s: float) -> film.Clip | None:
-    """Film the best and the worst run side by side; None where none can be filmed."""
-    return _film(extremes(frame), duration_s)
 
 
 def _score_column(frame: pd.DataFrame) -> str:

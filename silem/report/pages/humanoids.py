@@ -1,7 +1,5 @@
 """The page of the humanoids: Figure 3a, measures and distances, the reward's factors, falls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -49,8 +47,13 @@ _ALIKE = {  # joints of Humanoid and of Atlas that do the same
 _GRAVITY_M_S2 = 9.81
 _TRUNK = ("pelvis", "ltorso", "mtorso", "utorso")  # of Atlas, from below
 DEMONSTRATOR = "demonstrator"
-_PRINTED = (DEMONSTRATOR, "Humanoid", "Atlas")  # the paper's order
 _LIMBS = {"feet": "foot", "hand": "hand"}  # the paper's numbers, and what they are of
+_PRINTED_M = {
+    part: dict(
+        zip((DEMONSTRATOR, "Humanoid", "Atlas"), paper.number(f"{part}_distances"), strict=True)
+    )
+    for part in _LIMBS
+}
 _EQUAL_M = 0.005  # left and right are written as one number where they differ by less
 _SUITE_SPEED_M_S = 1.0  # what dm_control's own task asks for
 _N = 201  # points of a curve
@@ -101,24 +104,15 @@ def posed(
     return data, Landmarks(model, body.skeleton).points(data)
 
 
-def _standing_head_m(body: MujocoBody) -> float:
-    return float(posed(body, body.standing_pose)[1][POINTS.index("head"), 2])
-
-
 def overview(names: Sequence[str]) -> pd.DataFrame:
     """Return what humanoids measure, a row each: mass in kg, lengths and heights in m."""
     rows = {}
     for body in map(body_of, names):
-        lengths = Limbs.of(posed(body)[1])
-        rows[body.name] = {
-            "mass (kg)": describe(body.name)["total_mass_kg"],
-            "head (m)": _standing_head_m(body),
-            "leg (m)": lengths.leg,
-            "left arm (m)": lengths.left_arm,
-            "right arm (m)": lengths.right_arm,
-            "hips to torso (m)": lengths.spine,
-            "motors": body.action_size,
-        }
+        limbs = Limbs.of(posed(body)[1])
+        mass, head_m = describe(body.name)["total_mass_kg"], heights([body.name]).iloc[0, 0]
+        arms = {"left arm (m)": limbs.left_arm, "right arm (m)": limbs.right_arm}
+        rows[body.name] = {"mass (kg)": mass, "head (m)": head_m, "leg (m)": limbs.leg, **arms}
+        rows[body.name] |= {"hips to torso (m)": limbs.spine, "motors": body.action_size}
     return pd.DataFrame(rows).T.astype({"motors": int}).rename_axis("body")
 
 
@@ -148,7 +142,11 @@ def strength() -> pd.DataFrame:
 def heights(names: Sequence[str]) -> pd.DataFrame:
     """Return the heights of the head in m that the walking task goes by, a row per body."""
     columns = ("standing pose", "counts as standing from", "episode ends below")
-    rows = [(_standing_head_m(b), b.standing_head_m, b.fall_head_m) for b in map(body_of, names)]
+    head = POINTS.index("head")
+    rows = [
+        (posed(b, b.standing_pose)[1][head, 2], b.standing_head_m, b.fall_head_m)
+        for b in map(body_of, names)
+    ]
     return pd.DataFrame(rows, names, columns).rename_axis("height of the head (m)")
 
 
@@ -173,15 +171,14 @@ def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
         row = {("", "body"): body}
         for part, limb in _LIMBS.items():
             left, right = (limbs[f"{side}_{limb}"] for side in SIDES)
-            equal, printed = abs(left - right) < _EQUAL_M, _printed_m(part).get(body)
+            printed, mean = _PRINTED_M[part].get(body), (left + right) / 2
             both = f"{number(left, 2)} left, {number(right, 2)} right"
+            off = round(mean - (printed or 0.0), 2) + 0.0  # never a negative zero
             heading = f"{'feet' if part == 'feet' else 'hands'} from the torso (m)"
             row[heading, "paper"] = number(printed, 2)
-            row[heading, "ours"] = number((left + right) / 2, 2) if equal else both
-            row[heading, "difference"] = style.DASH
-            if printed is not None:
-                off = round((left + right) / 2 - printed, 2) + 0.0  # never a negative zero
-                row[heading, "difference"] = "+" * (off > 0) + number(off, 2)
+            row[heading, "ours"] = number(mean, 2) if abs(left - right) < _EQUAL_M else both
+            difference = "+" * (off > 0) + number(off, 2)
+            row[heading, "difference"] = difference if printed else style.DASH
         rows.append(row)
     return styled(pd.DataFrame(rows))
 
@@ -191,8 +188,8 @@ def gaps() -> dict[str, float]:
     found, differences = limb_distances(), {}
     for part, limb in _LIMBS.items():
         ours = {n: (d[f"left_{limb}"] + d[f"right_{limb}"]) / 2 for n, d in found.items()}
-        for whose, distances in (("paper", _printed_m(part)), ("our", ours)):
-            for name in _PRINTED[1:]:
+        for whose, distances in (("paper", _PRINTED_M[part]), ("our", ours)):
+            for name in ("Humanoid", "Atlas"):
                 gap = abs(distances[name] - distances[DEMONSTRATOR])
                 differences[f"{whose}_{part}_{name}"] = gap
     return differences
@@ -208,37 +205,33 @@ def trunk_distances() -> pd.DataFrame:
     return pd.DataFrame(distances, index=pd.Index(_TRUNK, name="from"))
 
 
-def _printed_m(part: str) -> dict[str, float]:
-    """Return the paper's distances of feet or hands by body, in m."""
-    return dict(zip(_PRINTED, paper.number(f"{part}_distances"), strict=True))
-
-
 @style.applied()
 def reward_factors() -> Figure:
     """Draw the factors of the environments' own reward, each with the others at their best."""
     body = bodies.of_kind("Humanoid", MujocoBody)
-    head_m = np.linspace(0.0, 1.2 * body.standing_head_m, _N)
-    tilt_rad = np.linspace(0.0, np.pi, _N)
-    torque, speed_m_s = np.linspace(0.0, 1.0, _N), np.linspace(0.0, 2.5, _N)
-    figure, (standing, upright, control, move) = style.new_figure(2.5, ncols=4, sharey=True)
-    standing.plot(head_m, _rewards(body, head_m=head_m), color=style.INK)
-    standing.axvspan(0.0, body.fall_head_m, color=style.FAINT, lw=0)
-    standing.set(title="Standing", xlabel="head's height (m)", ylabel="factor of the reward")
-    upright.plot(np.rad2deg(tilt_rad), _rewards(body, tilt_rad=tilt_rad), color=style.INK)
-    upright.set(title="Upright", xlabel="torso's tilt (degrees)", xticks=[0, 90, 180])
-    control.plot(torque, _rewards(body, torque=torque), color=style.INK)
-    control.set(title="Small control", xlabel="size of all actions")
-    for target, line in ((DEMONSTRATOR_SPEED_M_S, "-"), (_SUITE_SPEED_M_S, ":")):
-        rewards = _rewards(body, target, speed_m_s=speed_m_s)
-        move.plot(speed_m_s, rewards, line, color=style.INK, label=f"target {target:g} m/s")
-    move.set(title="Speed", xlabel="horizontal speed (m/s)", ylim=(0, 1.05))
-    move.legend(fontsize=7.5, loc="lower right")
+    shown = {  # of the state: title, label, values, and how the axis shows them
+        "head_m": ("Standing", "head's height (m)", 1.2 * body.standing_head_m, 1.0),
+        "tilt_rad": ("Upright", "torso's tilt (degrees)", np.pi, np.rad2deg(1.0)),
+        "torque": ("Small control", "size of all actions", 1.0, 1.0),
+        "speed_m_s": ("Speed", "horizontal speed (m/s)", 2.5, 1.0),
+    }
+    figure, grid = style.panels([entry[0] for entry in shown.values()], 2.1, 4, sharey=True)
+    for axes, (name, (_, label, top, unit)) in zip(grid, shown.items(), strict=True):
+        values = np.linspace(0.0, top, _N)
+        for target, line in ((DEMONSTRATOR_SPEED_M_S, "-"), (_SUITE_SPEED_M_S, ":")):
+            if name == "speed_m_s" or line == "-":
+                rewards = _rewards(body, target, **{name: values})
+                word = f"target {target:g} m/s"
+                axes.plot(unit * values, rewards, line, color=style.INK, label=word)
+        axes.set(xlabel=label, ylim=(0, 1.05))
+    grid[0].axvspan(0.0, body.fall_head_m, color=style.FAINT, lw=0)
+    grid[0].set_ylabel("factor of the reward")
+    grid[1].set_xticks([0, 90, 180])
+    grid[3].legend(fontsize=7.5, loc="lower right")
     return figure
 
 
-def _rewards(
-    body: MujocoBody, target_m_s: float = DEMONSTRATOR_SPEED_M_S, **given: np.ndarray
-) -> np.ndarray:
+def _rewards(body: MujocoBody, target_m_s: float, **given: np.ndarray) -> np.ndarray:
     """Return rewards (N,) of made-up states that are perfect but in the quantity given."""
     perfect = {"head_m": body.standing_head_m, "tilt_rad": 0.0, "torque": 0.0}
     state: dict[str, Any] = {**perfect, "speed_m_s": target_m_s, **given}

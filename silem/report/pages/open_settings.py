@@ -4,10 +4,9 @@ The search is the study "open-settings". What was tried before it was recorded a
 ``data/search``, one entry per exploratory run; it is history, and no result rests on it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -75,20 +74,17 @@ def found(frame: pd.DataFrame) -> Styler:
     The best of a method is bold, with those within `NEAR_BEST` of it; an arrow marks what the study
     has now. A setting without runs is there all the same.
     """
-    rows = []
-    for run in settings(frame).to_dict("records"):
-        mean = number(run["score"], 2)
-        rows.append(
-            {
-                "method": _label(results.body_names(frame)[0], run["method"]),
-                "setting": ("→ " if run["in_use"] else "") + run["setting"],
-                **{body: number(run[body], 2) for body in results.body_names(frame)},
-                "mean": f"<strong>{mean}</strong>" if run["near"] else mean,
-            }
-        )
+    table, names, write = settings(frame), results.body_names(frame), partial(number, digits=2)
+    mean = table["score"].map(write)
+    shown = {
+        "method": table["method"].map(partial(_label, names[0])),
+        "setting": table["in_use"].map({True: "→ ", False: ""}) + table["setting"],
+        **{body: table[body].map(write) for body in names},
+        "mean": mean.mask(table["near"], "<strong>" + mean + "</strong>"),
+    }
     near = "Scores (1: the mean of the body's own PPO experts); bold: best, or within"
     caption = f"{near} {100 * NEAR_BEST:g} % of it; →: in the study now; –: no run"
-    return tables.styled(pd.DataFrame(rows), caption)
+    return tables.styled(pd.DataFrame(shown), caption)
 
 
 def says(frame: pd.DataFrame) -> str:
@@ -156,16 +152,16 @@ def travel_table(table: pd.DataFrame) -> pd.DataFrame:
 
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
     """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
-    rows = []
-    for body, method in product(results.body_names(unpenalised), ("silem", "silem-minus")):
-        for penalty, frame in (("yes", penalised), ("no", unpenalised)):
-            runs = results.cell(frame, method, body)
-            row = {"body": body, "method": _label(body, method), "penalty": penalty}
-            row["trials"] = str(len(runs)) if len(runs) else "no run"
-            for name in ("return_mean", "disc_reward", "speed_m_s"):
-                heading, digits = QUANTITIES[name]
-                row[heading] = number(runs[name].mean(), digits)
-            rows.append(row)
+    rows, frames = [], {"yes": penalised, "no": unpenalised}
+    bodies_and_methods = product(results.body_names(unpenalised), ("silem", "silem-minus"))
+    for (body, method), penalty in product(bodies_and_methods, frames):
+        runs = results.cell(frames[penalty], method, body)
+        row = {"body": body, "method": _label(body, method), "penalty": penalty}
+        row["trials"] = str(len(runs)) if len(runs) else "no run"
+        for name in ("return_mean", "disc_reward", "speed_m_s"):
+            heading, digits = QUANTITIES[name]
+            row[heading] = number(runs[name].mean(), digits)
+        rows.append(row)
     return pd.DataFrame(rows)
 
 

@@ -3,8 +3,6 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,7 +21,7 @@ from silem.motion.demonstrator import CLIPS, published_motion
 from silem.motion.gait import distance, walk
 from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
-from silem.report.curves import QUANTITIES
+from silem.report.curves import QUANTITIES, rises
 from silem.report.style import number
 from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
 from silem.study.settings import BUDGETS
@@ -50,7 +48,6 @@ MEASURES = {
 man's clip in its deviations, as they are and with both shifted to the same means: without that a
 body's shape counts as well."""
 
-_TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
 _SIZE = 320, 300  # pixels of a picture in the strip
@@ -162,7 +159,7 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     """Return what the page says about a study: numbers and texts by name."""
     found = gaits(frame)
     counted = {"walk": WALKS, "slower": SLOWER, "creep": CREEPS, "stand": STANDS, "fall": FALLS}
-    rising = _rises(frame)
+    rising = rises(frame)
     said: dict[str, str | float] = {"n_cells": len(found)}
     said |= {"n_rising": sum(rising), "n_curves": len(rising), "longest": style.DASH}
     said |= {f"n_{name}": int((found["gait"] == word).sum()) for name, word in counted.items()}
@@ -232,17 +229,6 @@ def _just_before(curve: pd.DataFrame, share: float) -> pd.Series:
     """Return a curve's means over the last few of the iterations up to a share of them."""
     total = curve["iteration"].max()
     return curve[curve["iteration"].between((share - _SPAN) * total, share * total)].mean()
-
-
-def _rises(frame: pd.DataFrame) -> list[bool]:
-    """Tell of each run whether its return rose: the last tenth of its curve over the one before."""
-    rises = []
-    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
-        values = results.load_curve(run_id)["return_mean"].dropna().to_numpy()
-        n = max(1, round(_TAIL * len(values)))
-        if len(values) >= 2 * n:
-            rises.append(bool(values[-n:].mean() > values[-2 * n : -n].mean()))
-    return rises
 
 
 def _whole(value: float) -> float:
@@ -317,69 +303,59 @@ def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) 
 def search_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, what each setting of the rivals' search led to, in the plan's order."""
     study, budget = results.context(frame)
-    made, rows = frame.set_index("run_id"), []
+    made, rows, (seed,) = frame.set_index("run_id"), [], seeds_of(study, BUDGETS[budget])
     usual = {(c.method, c.body): c.overrides for c in cells("humanoids")}
     for cell in cells(study):
         changed = [f"{n} {v}" for n, v in cell.overrides[len(usual[cell.method, cell.body]) :]]
-        row = {
-            "rival": style.method(cell.method, "").label,
-            "setting": ", ".join(changed) or "its own",
-        }
-        run = made.reindex([cell.config(budget, seeds_of(study, BUDGETS[budget])[0]).run_id]).iloc[
-            0
-        ]
-        row |= {"return": number(run["return_mean"]), "speed (m/s)": number(run["speed_m_s"], 2)}
-        rows.append(row | {"steps survived": number(MAX_STEPS * run["upright"])})
+        run = made.reindex([cell.config(budget, seed).run_id]).iloc[0]
+        rows.append(
+            {
+                "rival": style.method(cell.method, "").label,
+                "setting": ", ".join(changed) or "its own",
+                "return": number(run["return_mean"]),
+                "speed (m/s)": number(run["speed_m_s"], 2),
+                "steps survived": number(MAX_STEPS * run["upright"]),
+            }
+        )
     return pd.DataFrame(rows)
 
 
 def reversal() -> pd.DataFrame:
-    """Return what discriminators told apart in the toy of TPIL's reversal: means over seeds.
+    """Return what discriminators told apart in the toy of TPIL's reversal, means over seeds.
 
-    Raises SilemError: `benchmarks.reversal` has not been run.
+    The toy is `benchmarks.reversal`; columns are ``worse``, ``method``, ``depth``, ``coef``,
+    ``domain_accuracy``, ``probe_accuracy``, ``ranking``, ``reward_good`` and ``seed`` (how many).
     """
     rows = pd.DataFrame(files.read_json(paths.REPO / "data" / "search" / "reversal.json"))
-    keys = ["worse", "method", "depth", "coef"]
-    found = rows.groupby(keys, sort=False).agg(
-        seeds=("seed", "nunique"), domain_accuracy=("domain_accuracy", "mean"),
-        probe_accuracy=("probe_accuracy", "mean"), ranking=("ranking", "mean"),
-    )  # fmt: skip
-    return found.reset_index()
+    grouped = rows.groupby(["worse", "method", "depth", "coef"], sort=False)
+    return grouped.mean().assign(seed=grouped["seed"].nunique()).reset_index()
 
 
 @style.applied()
 def reversal_figure() -> Figure:
     """Draw what TPIL's domain head, a linear probe and its reward tell apart, over C_g."""
-    found, handles = reversal(), []
-    names = list(found["worse"].unique())
-    figure, panels = style.new_figure(
-        4.6, nrows=len(names), ncols=2, sharex=True, sharey=True, squeeze=False
-    )
-    for worse, (told, ranked) in zip(names, panels, strict=True):
-        told.set(title=f"Bodies told apart by a state (worse: {worse})", ylim=(0.3, 1.03))
-        ranked.set(title="Good windows rewarded above bad ones")
-        rows = found[found["worse"] == worse].set_index("method")
-        for depth, of_depth in rows.loc[["tpil"]].groupby("depth"):
-            look: dict[str, Any] = {
-                "color": style.body_color(depth, 3),
-                "marker": "os"[depth - 1],
-                "ms": 4,
-            }
-            words = "one layer" if depth == 1 else f"{depth} layers"
-            handles.append(style.handle(label=f"TPIL, encoder of {words}", **look))
-            told.plot(of_depth["coef"], of_depth["domain_accuracy"], "-", **look)
-            told.plot(of_depth["coef"], of_depth["probe_accuracy"], ls=style.DASHED, **look)
-            ranked.plot(of_depth["coef"], of_depth["ranking"], "-", **look)
-        for method in set(rows.index) - {"tpil"}:
-            known = style.method(method, "")
-            handles.append(style.handle(known.color, known.label, ls=":", lw=2))
-            ranked.axhline(rows.at[method, "ranking"], color=known.color, ls=":", lw=2)
-    for axes in panels[-1]:
-        axes.set_xlabel("C_g, weight of the reversed gradient")
-    unique = {handle.get_label(): handle for handle in handles}
-    figure.legend(handles=list(unique.values()), loc="outside upper left", ncols=4, fontsize=8)
-    seeds = "one seed" if found["seeds"].max() == 1 else "means over up to two seeds"
-    style.footer(
-        figure, f"left: the domain head, solid, and a linear probe of the encoding, dashed; {seeds}"
-    )
-    return figure
+    found, handles = reversal(), {}
+    titles = ("bodies told apart by a state", "good rewarded above bad")
+    names = [f"Worse is {worse}: {title}" for worse in found["worse"].unique() for title in titles]
+    figure, panels = style.panels(names, 2.0, sharex=True, sharey=True)
+    for index, (_, rows) in enumerate(found.groupby("worse", sort=False)):
+        told, ranked = panels[2 * index : 2 * index + 2]
+        for depth, of_depth in rows[rows["method"] == "tpil"].groupby("depth"):
+            look: dict[str, Any] = {"color": style.body_color(depth, 3), "marker": " os"[depth]}
+            label = f"TPIL, encoder of depth {depth}"
+            handles[label] = style.handle(label=label, ms=4, **look)
+            for axes, column, line in (
+                (told, "domain_accuracy", "-"), (told, "probe_accuracy", style.DASHED),
+                (ranked, "ranking", "-"),
+            ):  # fmt: skip
+                axes.plot(of_depth["coef"], of_depth[column], ls=line, ms=4, **look)
+        for method in COMPARED[:2]:
+            known, level = style.method(method, ""), rows.loc[rows["method"] == method, "ranking"]
+            look = {"color": known.color, "ls": ":", "lw": 2}
+            handles[known.label] = style.handle(label=known.label, **look)
+            ranked.axhline(level.mean(), **look)
+    for axes in panels[-2:]:
+        axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
+    note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
+    seeds = " to ".join(dict.fromkeys(str(n) for n in (found["seed"].min(), found["seed"].max())))
+    return style.finish(figure, list(handles.values()), f"{note}; seeds: {seeds}", ncols=4)
