@@ -92,8 +92,8 @@ def by_feature(frame: pd.DataFrame) -> Figure:
 
     They are those of the best policies, at most as many as the paper shows, each a small mark.
     Lines join the features of a group, and stripes lie under those of a humanoid's arms, which
-    HumanoidR's asymmetry touches; an upright stroke is what its limbs' lengths let `expected`. A run
-    of another number of iterations than planned is a cross and enters no mean.
+    HumanoidR's asymmetry touches; an upright stroke is what is `expected` by the limbs' lengths. A
+    run of another number of iterations than planned is a cross and enters no mean.
     """
     frame = scores.runs_of("by_feature", frame)
     names, handles, n_best = results.body_names(frame), [], paper.number("best_policies_shown")

@@ -331,6 +331,28 @@ def reversal() -> pd.DataFrame:
     return grouped.mean().assign(seed=grouped["seed"].nunique()).reset_index()
 
 
+def reversal_sentences() -> dict[str, float]:
+    """Return what the page says about the toy: shares in per cent, where C_g > 0, and rewards."""
+    found = reversal().set_index("method")
+    tpil = found.loc["tpil"].query("coef > 0").drop(columns="worse")
+    tpil = tpil.groupby("depth").agg(["mean", "min"])
+    means = found.groupby("method")[["ranking", "reward_good"]].mean()
+    shares = {
+        "shallow_domain": tpil.at[1, ("domain_accuracy", "mean")],
+        "deep_domain": tpil.at[2, ("domain_accuracy", "min")],
+        "deep_probe": tpil.at[2, ("probe_accuracy", "min")],
+        "shallow_ranking": tpil.at[1, ("ranking", "mean")],
+        "deep_ranking": tpil.at[2, ("ranking", "mean")],
+        "silem_ranking": means.at["silem", "ranking"],
+        "minus_ranking": means.at["silem-minus", "ranking"],
+    }
+    rewards = {
+        "deep_good": tpil.at[2, ("reward_good", "mean")],
+        "silem_good": means.at["silem", "reward_good"],
+    }
+    return {name: round(100 * share, 1) for name, share in shares.items()} | rewards
+
+
 @style.applied()
 def reversal_figure() -> Figure:
     """Draw what TPIL's domain head, a linear probe and its reward tell apart, over C_g."""
