@@ -170,6 +170,13 @@ def test_a_quiet_film_says_its_file_alone(
     assert out.stat().st_size > 0
 
 
+def test_a_campaign_is_work_on_one_study_by_two() -> None:
+    asked = "--budget book --workers 1 --method tpil ppo --trials 1 --quiet".split()
+    campaign = parser().parse_args(["campaign", "--study", "humanoids", *asked])
+    work = parser().parse_args(["work", "humanoids", *asked])
+    assert vars(campaign) | {"command": None} == vars(work) | {"command": None}
+
+
 def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bodies"]) == 0
     lines = capsys.readouterr().out.splitlines()
