@@ -305,6 +305,16 @@ def _work(options: argparse.Namespace) -> None:
 
 
 @_takes(
+    _option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
+    *_RUNS, *_ONLY, *_LOOP,
+)  # fmt: skip
+def _campaign(options: argparse.Namespace) -> None:
+    """Make what is missing of one study, by two workers if it is not said by how many."""
+    options.workers = options.workers or 2
+    _work(options)
+
+
+@_takes(
     _option("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell"), *_RUNS, *_LOOP,
     _option("--winner", action="store_true",
             help="when it is finished: its best, and the supplement's, on unused seeds"),

@@ -114,8 +114,8 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first `encoder_layers` hidden layers are the encoder's, the rest are each head's. Raises
-    SilemError if there is no hidden layer.
+    The first hidden layer is the encoder's, which has `encoder_layers` of its size, the others are
+    each head's. Raises SilemError if there is no hidden layer.
     """
 
     def __init__(
