@@ -206,7 +206,7 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
     if figure == "learning_curves":
         parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
         return pd.concat(parts, ignore_index=True)
-    if figure in ("by_feature", "figure_4"):
+    if figure == "by_feature":
         parts = []
         for run, body in zip(frame["run_id"], frame["body"], strict=True):
             learned = results.load_transform(run)

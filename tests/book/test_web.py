@@ -186,7 +186,7 @@ def test_each_figures_data_is_what_it_draws() -> None:
     frame = results.load_records("humanoids", "book")
     curves = web.figure_data(scores.runs_of("learning_curves", frame))
     assert {"iteration", "return_mean", "run_id"} <= set(curves)
-    learned = web.figure_data(scores.runs_of("figure_4", frame))
+    learned = web.figure_data(scores.runs_of("by_feature", frame))
     of = learned[learned["run_id"] == RUN]
     np.testing.assert_allclose(of["A"], results.load_transform(RUN)["A"])
     assert of["feature"].iloc[0] == "left hand x"
