@@ -11,12 +11,11 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
-from silem.report import film, notebook, results, style
+from silem.report import results, style
 from silem.report.claims import MARGIN
 from silem.report.curves import compared_curves
 from silem.report.pages import walking
 from silem.study.config import RunConfig
-from silem.study.record import RunRecord
 from silem.study.studies import cells
 
 SHORT = 250
@@ -167,26 +166,3 @@ def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
     assert "silem: 2 trials" in texts(figure)
     assert "budget book" in footer(figure)
     assert_readable(figure)
-
-
-def test_the_best_planned_run_of_each_method_is_filmed(
-    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    filmed: dict[str, RunRecord] = {}
-    notes: list[str] = []
-    clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
-    monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
-    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
-    monkeypatch.setattr(notebook, "note", notes.append)
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
-    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
-    assert list(filmed) == ["SILEM", f"PPO, {SHORT} iterations"]
-    best = results.cell(frame, "silem", "Humanoid").nlargest(1, "return_mean")
-    assert filmed["SILEM"].run_id == best["run_id"].item()
-    assert notes == [
-        "Humanoid, best trials, in real time: a clip",
-        "No finished run on Humanoid yet: SILEM⁻; TPIL; Peng20.",
-    ]
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "no OpenGL")
-    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
-    assert notes[-1] == "No videos of Humanoid: no OpenGL"
