@@ -33,7 +33,6 @@ from silem.util.errors import SilemError
 
 _PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 _NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
-_TRIAL = 400, 300  # pixels of one trial's film
 
 
 def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
@@ -189,7 +188,7 @@ def play_trials(
             label += f", {run.n_iterations:,} iterations" if run.stand_in else ""
             chosen[label] = results.find(run.run_id)
     if chosen:
-        clips = films.of_runs(chosen, duration_s, films.SIZE if len(chosen) < 3 else _TRIAL)
+        clips = films.of_runs(chosen, duration_s)
         play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")
     if absent:
         note(f"No finished run on {body} yet: {'; '.join(absent)}.")
