@@ -14,7 +14,7 @@ from silem import bodies
 from silem.report import claims, results, tables
 from silem.report.pages import beyond as page
 from silem.report.transforms import feature_names
-from silem.study.studies import TORSOS, study_configs
+from silem.study.studies import SLOPES_DEG, TORSOS, study_configs
 from silem.util import files
 
 LENGTHS = {body: bodies.get(body).length[1] for body in ("HC0", *TORSOS)}
@@ -118,6 +118,8 @@ def test_an_offset_of_pitch_has_to_be_the_angle(data: Path, share: float, verdic
             record.files["transform.npz"] = sha
             record.save(record.folder)
     found = claims.evaluate(results.load_records("slope")).set_index("text")["verdict"]
+    judged = {claim.body for claim in claims.of("slope")}
+    assert judged == {f"{b}-slope-{deg:g}" for b in ("HC0", "Ant0") for deg in SLOPES_DEG}
     told = found[found.index.str.endswith("HC0-slope-10")]
     assert list(told) == [claims.HOLDS, verdict]  # the returns' and the offset's
     assert (found.drop(told.index) == claims.UNDECIDED).all()
