@@ -157,9 +157,6 @@ class AffineTransform(nn.Module):
         """Transform features (..., F) state by state."""
         return features * self.scale + self.offset
 
-    def weigh(self, features: th.Tensor) -> None:
-        """Note by which states (..., F) the mean of several maps is to be taken; here of none."""
-
     def mean(self) -> dict[str, np.ndarray]:
         """Return A's diagonal and b, (F,) each; of several maps the mean that the gate gives."""
         found = {"A": self.scale, "b": self.offset}
@@ -248,14 +245,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
             )
         n_features = observation_space.shape[0]
         super().__init__(observation_space, n_features)
-        self.mean, self.var, self.count = (
-            nn.Buffer(start.to(th.float64))
-            for start in (
-                th.zeros(n_features),
-                th.ones(n_features),
-                th.tensor(1e-4, dtype=th.float64),
-            )
-        )
+        self.mean = nn.Buffer(th.zeros(n_features, dtype=th.float64))
+        self.var = nn.Buffer(th.ones(n_features, dtype=th.float64))
+        self.count = nn.Buffer(th.tensor(1e-4, dtype=th.float64))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Return observations (B, O) in clipped standard deviations."""

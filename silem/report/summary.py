@@ -278,8 +278,7 @@ def improvement(frame: pd.DataFrame) -> Figure:
         "bars: Newcombe's 95 % score interval of the share of pairs of trials; hollow: undecided,"
         f" it spans one half or a method has fewer than {claims.MIN_TRIALS} trials"
     )
-    scores.footer(figure, frame, note)
-    return figure
+    return scores.finish(figure, frame, note=note)
 
 
 @style.applied()
@@ -314,16 +313,13 @@ def profiles(frame: pd.DataFrame) -> Figure:
     axes.set(ylim=(-0.02, 1.04), ylabel="share of runs above τ", xlim=(low, top))
     over = "the highest possible" if walks else "the mean of the body's experts"
     axes.set_xlabel(f"τ: return of an episode over {over}")
-    if handles:
-        figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    else:
+    if not handles:
         style.say(axes, "no run")
     note = (
         f"dashed: fewer than {scores.INTERVAL_TRIALS} runs, without a band; bands: Clopper"
         " and Pearson's 95 % interval at each τ, as if all bodies' runs were of one kind"
     )
-    scores.footer(figure, frame, note)
-    return figure
+    return scores.finish(figure, frame, handles, note)
 
 
 FIGURES: dict[str, Callable[[pd.DataFrame], Figure]] = {
@@ -347,7 +343,8 @@ class ResultsFigure(SphinxDirective):
         shown = results.select(whole, trained, with_stand_ins=name == "learning_curves")
         shown.attrs["figure"] = name
         caption, file = " ".join(self.content), f"figures/{name}-{study}.svg"
-        style.save(FIGURES[name](shown), Path(self.env.srcdir) / "book" / file)
+        path = Path(self.env.srcdir) / "book" / file
+        files.write_text(path, style.svg(FIGURES[name](shown)))
         lines = [f":::{{figure}} {file}", f":name: {name}-{study}", f":alt: {caption}", "", caption]
         cells = [nodes.container(classes=["cell"]) for _ in range(2)]
         text = StringList([*lines, ":::"], source="")

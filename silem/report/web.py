@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -164,6 +165,10 @@ def learning_pack() -> bytes:
             run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
             run["learned"]["iteration"] = arrays["iteration"].tolist()
         runs.append(run)
+    labels = Counter((run["study"], run["body"], run["label"]) for run in runs)
+    for run in runs:  # those of a search differ in settings alone
+        if labels[run["study"], run["body"], run["label"]] > 1:
+            run["label"] += f", {run['id'].rpartition('_')[2]}"
     used = dict.fromkeys(run["body"] for run in runs if "A" in run)
     data = {
         "runs": runs,
@@ -206,7 +211,7 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
     if figure == "learning_curves":
         parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
         return pd.concat(parts, ignore_index=True)
-    if figure in ("by_feature", "figure_4"):
+    if figure == "by_feature":
         parts = []
         for run, body in zip(frame["run_id"], frame["body"], strict=True):
             learned = results.load_transform(run)

@@ -121,8 +121,10 @@ def test_the_packs_hold_every_published_curve() -> None:
     found = [record for record in web.records() if CURVE in record.files]
     assert len(found) > 30
     pack = web.learning_pack()
-    assert all(web.json.loads(web.gzip.decompress(pack))["runs"][0]["curve"].values())
-    assert len(web.json.loads(web.gzip.decompress(pack))["runs"]) == len(found)
+    runs = web.json.loads(web.gzip.decompress(pack))["runs"]
+    assert len(runs) == len(found) and all(runs[0]["curve"].values())
+    # readers can tell the runs of a body apart
+    assert len({(run["study"], run["body"], run["label"]) for run in runs}) == len(runs)
 
 
 # ---------------------------------------------------------------- under a figure
@@ -186,7 +188,7 @@ def test_each_figures_data_is_what_it_draws() -> None:
     frame = results.load_records("humanoids", "book")
     curves = web.figure_data(scores.runs_of("learning_curves", frame))
     assert {"iteration", "return_mean", "run_id"} <= set(curves)
-    learned = web.figure_data(scores.runs_of("figure_4", frame))
+    learned = web.figure_data(scores.runs_of("by_feature", frame))
     of = learned[learned["run_id"] == RUN]
     np.testing.assert_allclose(of["A"], results.load_transform(RUN)["A"])
     assert of["feature"].iloc[0] == "left hand x"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from silem.bodies import BulletBody
 from silem.envs import SingleEnv, make_vec
 from silem.envs.bullet import LocomotionTask, State, _felt
 from silem.motion.features import FEATURES
+from silem.report.film import why_no_pictures
 from silem.util.errors import SilemError
 
 SLOPES = ("HC0-slope-10", "Ant0-slope-10", "Humanoid-slope-10")
@@ -137,6 +139,15 @@ def test_every_environment_has_the_body_it_was_given():
     assert ended
 
 
+def test_every_environment_starts_as_its_own_body_stands():
+    plain = bodies.get("Humanoid")
+    x, y, z, *rest = plain.standing_pose
+    raised = dataclasses.replace(plain, standing_pose=(x, y, z + 0.5, *rest))
+    env = make_vec("Humanoid", 3, bodies=[plain, raised, plain])
+    env.reset()
+    np.testing.assert_allclose(env.simulation.qpos[:, 2] - z, [0.0, 0.5, 0.0])
+
+
 def test_a_range_of_arms_is_spread_over_the_environments():
     body = bodies.get("Humanoid-arm-0.5-1.5")
     assert [each.length[1] for each in body.each(4)] == sorted(e.length[1] for e in body.each(4))
@@ -144,6 +155,18 @@ def test_a_range_of_arms_is_spread_over_the_environments():
     env, plain = make_vec(body, 4), make_vec("Humanoid", 4)
     steps = [e.step(np.zeros((4, 21), np.float32))[0] for e in (env, plain) if len(e.reset())]
     assert not np.array_equal(*steps)
+
+
+def test_the_first_environments_own_body_is_filmed():
+    if why_no_pictures("Humanoid"):
+        pytest.skip("nothing can be drawn here")
+    pictures = []
+    for given in (["Humanoid-arm-1.5", "Humanoid"], ["Humanoid", "Humanoid-arm-1.5"]):
+        env = make_vec("Humanoid", 2, bodies=[bodies.get(name) for name in given])
+        env.reset()
+        pictures.append(env.render())
+        env.close()
+    assert np.any(pictures[0] != pictures[1])
 
 
 def test_bodies_of_a_batch_are_of_one_kind():
