@@ -252,7 +252,7 @@ _define(
 # nearer to the paper's, else to the default (page "How the open settings were found").
 _RATE_1 = ("transform_learning_rate", 1e-5)  # what stage 1 chose for T
 # ... and for SILEM-minus: 0.1 is the best; 0.3 is as good, but the paper has no penalty, that is 0.
-# SILEM's stage 2 chose the same penalty, and no L2.
+# Stage 2 chose the same penalty for SILEM, without L2, and left SILEM-minus as it was.
 _PENALTY = ("gradient_penalty", 0.1)
 _SEARCHED: tuple[tuple[str, Settings], ...] = (
     # 1. T's rate, and what SILEM-minus has in its place: D's penalty and rate
@@ -268,8 +268,9 @@ _SEARCHED: tuple[tuple[str, Settings], ...] = (
     ("silem", (_RATE_1, _PENALTY)),
     *(("silem-minus", (_PENALTY, ("disc_learning_rate", rate))) for rate in (3e-4, 3e-3)),
     ("silem-minus", (("gradient_penalty", 0.03),)),
-    # 3. the entropy bonus of D; SILEM-minus: when its stage 2 is done
+    # 3. the entropy bonus of D
     *(("silem", (_RATE_1, _PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
+    *(("silem-minus", (_PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
 )
 _define(
     "open-settings",
