@@ -248,15 +248,12 @@ def _value(name: str, text: str) -> Any:
 
 def _configs(options: argparse.Namespace) -> list[RunConfig]:
     """Return the runs of all studies asked for, one study after the other."""
-    only = {name: getattr(options, name, None) for name in ("body", "method")}
+    only: dict[str, Any] = {name: getattr(options, name, None) for name in ("body", "method")}
     budget, trials, sample = budget_of(options), options.trials, options.sample
     if getattr(options, "winner", False):
         return studies.fresh_configs(options.studies[0], budget, trials, sample)
-    return [
-        config
-        for study in options.studies
-        for config in studies.study_configs(study, budget, trials, sample, **only)
-    ]
+    asked = (budget, trials, sample)
+    return [c for study in options.studies for c in studies.study_configs(study, *asked, **only)]
 
 
 def _words(options: argparse.Namespace) -> list[str]:
@@ -317,12 +314,10 @@ def _campaign(options: argparse.Namespace) -> None:
     _work(options)
 
 
-_WINNER = "when it is finished: its best, and the supplement's, on seeds that it has not used"
-
-
 @_takes(
     _option("studies", nargs=1, metavar="STUDY/BODY/METHOD", help="the cell"), *_RUNS, *_LOOP,
-    _option("--winner", action="store_true", help=_WINNER),
+    _option("--winner", action="store_true",
+            help="when it is finished: its best, and the supplement's, on unused seeds"),
 )  # fmt: skip
 def _search(options: argparse.Namespace) -> None:
     """Run a grid of the supplement, and rank its configurations."""

@@ -191,21 +191,17 @@ class GAIfO(PPO):
         self._features = LearnerFeatures(n_features)
         self._recent: np.ndarray | None = None  # the windows (E, W, F) that end at present
         self._warned = False
-        self._expert_windows = th.from_numpy(self._cut_demonstrations()).to(self.device)
+        windows = [episode_windows(f, self.window) for f in self.demonstrations.features]
+        if self._absorbing:  # those in the absorbing state come last
+            marks = self.absorbing_states
+            ended = [marks] * len(windows) if isinstance(marks, bool) else marks
+            after = [absorbing_windows(w[-1]) for w, end in zip(windows, ended, strict=True) if end]
+            windows = [*map(marked, windows), *after]
+        self._expert_windows = th.from_numpy(np.concatenate(windows)).to(self.device)
         self.discriminator = self._make_discriminator(n_features + self._absorbing).to(self.device)
         learned, rate = self.discriminator.parameters(), self.disc_learning_rate
         self.disc_optimizer = th.optim.Adam(learned, lr=rate)
         self._torch_rng = th.Generator().manual_seed(self.seed or 0)
-
-    def _cut_demonstrations(self) -> np.ndarray:
-        """Return the expert's windows (N, W, F), those in the absorbing state last."""
-        windows = [episode_windows(f, self.window) for f in self.demonstrations.features]
-        if not self._absorbing:
-            return np.concatenate(windows)
-        marks = self.absorbing_states
-        ended = [marks] * len(windows) if isinstance(marks, bool) else marks
-        after = [absorbing_windows(w[-1]) for w, end in zip(windows, ended, strict=True) if end]
-        return np.concatenate([*map(marked, windows), *after])
 
     def _make_discriminator(self, n_features: int) -> th.nn.Module:
         """Build D, a module from windows (B, W, F) to logits (B,) that are high for the expert."""
@@ -310,10 +306,7 @@ class GAIfO(PPO):
 
 
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
-    """Cut an episode's features (T + 1, F) into windows (T, W, F); row t ends at state t + 1.
-
-    Raises SilemError if the episode has fewer than two states or the window is not positive.
-    """
+    """Cut an episode's features (T + 1, F), T >= 1, into windows (T, W, F); row t ends at t + 1."""
     if window < 1:
         raise SilemError(f"window must be at least 1 state, got {window}")
     if features.ndim != 2 or len(features) < 2:
@@ -344,8 +337,10 @@ class LearnerFeatures:
     """g for the learner: its observation, or what the environment's ``info`` holds beside it.
 
     Environments that supply ``info["skeletal_features"]`` (F,) from ``reset`` and ``step`` have a
-    g of their own; for all others g is the identity. Which of the two holds is decided at the
-    first reset, for all environments and for good. F must be that of the demonstrations.
+    g of their own; for all others g is the identity. Which of the two holds is decided at the first
+    reset, for all environments and for good. F must be that of the demonstrations. Raises
+    SilemError: features are of another width, come from some environments or calls only, or there
+    are none: observations that are no arrays, or that change by themselves.
     """
 
     def __init__(self, n_features: int) -> None:
@@ -353,11 +348,7 @@ class LearnerFeatures:
         self._in_infos: bool | None = None
 
     def first(self, env: VecEnv, observations: Any) -> np.ndarray:
-        """Return the features (E, F) of the states the environments are in after a reset.
-
-        Raises SilemError: features are of another width, come from some environments or calls only,
-        or there are none: observations that are no arrays, or that change by themselves.
-        """
+        """Return the features (E, F) of the states the environments are in after a reset."""
         infos = env.unwrapped.reset_infos
         if self._in_infos is None:
             self._in_infos = any(INFO_KEY in info for info in infos)
@@ -370,9 +361,8 @@ class LearnerFeatures:
     ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Return the features (E, F) of the states a step led to, terminal ones included.
 
-        With them, per environment whose episode ended, come the features (F,) of the new
-        episode's first state. ``observations``, ``dones`` and ``infos`` are the step's. Raises as
-        :meth:`first`.
+        With them, per environment whose episode ended, come the features (F,) of the new episode's
+        first state. ``observations``, ``dones`` and ``infos`` are the step's.
         """
         ended = np.flatnonzero(dones).tolist()
         terminal = observations
@@ -400,8 +390,7 @@ class LearnerFeatures:
             features = np.array(rows)
         except ValueError as error:  # of several lengths
             raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
-        if features.dtype.kind not in "fiu":
-            kind = features.dtype
+        if (kind := features.dtype).kind not in "fiu":
             raise SilemError(
                 f"the learner's skeletal features are no vectors of numbers but {kind}"
             )

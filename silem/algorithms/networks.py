@@ -114,8 +114,8 @@ class ThirdPersonDiscriminator(nn.Module):
     The window head judges the encodings of a window's W states and gives the reward. The domain
     head tells expert from learner by a single state's encoding; through gradient reversal, of
     weight C_g, the encoder learns to make that impossible, so as to forget what the body betrays.
-    The first `encoder_layers` hidden layers are the encoder's, the rest are each head's. Raises
-    SilemError if there is no hidden layer.
+    The first hidden layer is the encoder's, which has `encoder_layers` of its size, the others are
+    each head's. Raises SilemError if there is no hidden layer.
     """
 
     def __init__(
@@ -248,14 +248,9 @@ class RunningNormalizer(BaseFeaturesExtractor):
             )
         n_features = observation_space.shape[0]
         super().__init__(observation_space, n_features)
-        self.mean, self.var, self.count = (
-            nn.Buffer(start.to(th.float64))
-            for start in (
-                th.zeros(n_features),
-                th.ones(n_features),
-                th.tensor(1e-4, dtype=th.float64),
-            )
-        )
+        self.mean = nn.Buffer(th.zeros(n_features, dtype=th.float64))
+        self.var = nn.Buffer(th.ones(n_features, dtype=th.float64))
+        self.count = nn.Buffer(th.tensor(1e-4, dtype=th.float64))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Return observations (B, O) in clipped standard deviations."""

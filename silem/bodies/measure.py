@@ -23,14 +23,18 @@ _ROUND = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 def describe(body: Body) -> dict[str, Any]:
     """Return what `silem.bodies.describe` does."""
-    model = spec(body).compile()
+    model, lengths = spec(body).compile(), {}
+    for geom in map(model.geom, range(model.ngeom)):
+        kind, (radius, half, _) = int(geom.type[0]), geom.size.tolist()
+        if geom.name and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
+            lengths[geom.name] = round(2 * half if kind in _ROUND else radius, 6)
     masses, joints = _in_bullet(body) if isinstance(body, BulletBody) else _in_mujoco(model)
     masses = {name: mass for name, mass in masses.items() if mass > 0}
     return {
         "name": body.name,
         "family": body.family,
         "description": body.description,
-        "lengths_m": _lengths_m(model),
+        "lengths_m": lengths,
         "masses_kg": masses,
         "total_mass_kg": sum(masses.values()),
         "joints": joints,
@@ -57,16 +61,6 @@ def spec(body: Body) -> mujoco.MjSpec:
         if not body.root_joints:
             read.body(body.root).add_freejoint()
     return read
-
-
-def _lengths_m(model: mujoco.MjModel) -> dict[str, float]:
-    """Return the length of each named capsule and cylinder, and the radius of each sphere."""
-    lengths = {}
-    for geom in map(model.geom, range(model.ngeom)):
-        kind, (radius, half, _) = int(geom.type[0]), geom.size.tolist()
-        if geom.name and kind in (*_ROUND, mujoco.mjtGeom.mjGEOM_SPHERE):
-            lengths[geom.name] = round(2 * half if kind in _ROUND else radius, 6)
-    return lengths
 
 
 _Measured = tuple[dict[str, float], dict[str, tuple[float, float] | None]]  # masses, limits

@@ -37,6 +37,7 @@ class Simulation(ABC):
     """E bodies in their simulator, and the task that they do: what an environment drives."""
 
     observation_space: gymnasium.spaces.Box
+    filmed: Body | None = None  #: the first body, where it is another one than the environment's
 
     @abstractmethod
     def begin(self, indices: np.ndarray, generators: Generators) -> tuple[np.ndarray, Infos]:
@@ -138,7 +139,7 @@ class _Filmed:
         if not self._is_reset:
             raise SilemError("render before reset")
         if self._camera is None:
-            self._camera = Camera(self.body, *self.picture_size)
+            self._camera = Camera(self.simulation.filmed or self.body, *self.picture_size)
         return self._camera.picture(self.simulation.pose())
 
     def close(self) -> None:

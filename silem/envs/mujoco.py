@@ -114,6 +114,7 @@ class Simulation(base.Simulation):
         if own is not None:
             if len(self._bodies) != n_envs:
                 raise SilemError(f"{len(self._bodies)} bodies for {n_envs} environments")
+            self.filmed = self._bodies[0]
             try:
                 batch.set_models([stepped_model(each) for each in self._bodies])
             except (ValueError, mujoco.FatalError) as error:  # of other sizes

@@ -98,10 +98,14 @@ def skeletal_features(
     """
     rows = torso_axes.swapaxes(-1, -2)
     vectors = points.take(_ENDS, -2) - points.take(_STARTS, -2)
-    offsets = vectors[..., :4, :]
+    offsets, segments = vectors[..., :4, :], vectors[..., 4:, :]
+    n = segments.shape[-2] // 2  # of angles between N vectors and the next N
+    lengths = np.sqrt(np.add.reduce(segments * segments, -1))
+    products = np.add.reduce(segments[..., :n, :] * segments[..., n:, :], -1)
+    cosines = products / (lengths[..., :n] * lengths[..., n:])
     parts = (
         (offsets @ rows).reshape(*offsets.shape[:-2], 12),
-        _angles(vectors[..., 4:, :]),
+        np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0)),
         points[..., _HEAD, 2:],
         torso_axes[..., 2] if up is None else torso_axes @ np.array(up),
         (com_velocity[..., None, :] @ rows)[..., 0, :],
@@ -121,12 +125,3 @@ def read(
 def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.ndarray:
     """Return the features (F,) of one state; its positions and velocities must be up to date."""
     return skeletal_features(*read(model, data, landmarks))
-
-
-def _angles(segments: np.ndarray) -> np.ndarray:
-    """Return the angles in rad (..., N) between N vectors and the next N, of (..., 2 N, 3)."""
-    n = segments.shape[-2] // 2
-    lengths = np.sqrt(np.add.reduce(segments * segments, -1))
-    products = np.add.reduce(segments[..., :n, :] * segments[..., n:, :], -1)
-    cosines = products / (lengths[..., :n] * lengths[..., n:])
-    return np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))

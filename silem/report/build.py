@@ -44,7 +44,8 @@ BOOK_PARAMETERS: Parameters = {
     "09_demonstration": {"video_s": 60.0},  # all of it
     "10_humanoids": {"n_episodes": 100, "video_s": 2.0},
     "11_retargeting": {"film_all": True, "video_s": 2.3},
-    "12_walking": {"budget": "book", "video_s": 6.0},
+    "12_walking": {"budget": "book", "n_episodes": 4, "video_s": 6.0},
+    "14_ants": {"video_s": 6.0},
     "16_any_body": {"budget": "quick", "steps": 20_000, "video_s": 6.0},
     "17_beyond": {"n_episodes": 20},
 }

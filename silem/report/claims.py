@@ -41,6 +41,8 @@ RULES = {name: text.format(trials=MIN_TRIALS, margin=MARGIN, most=1 - MARGIN, wa
 HOLDS, FAILS, UNDECIDED = "holds", "does not hold", "undecided"
 _COLORS = {HOLDS: "#DDF3E4", FAILS: "#FBE3E0", UNDECIDED: "#F1F1F1"}
 
+_GAP = "SILEM beats SILEM⁻"
+
 Cell = tuple[str, str]
 """A method and a body."""
 
@@ -139,6 +141,11 @@ class Finding:
     detectable: float = float("nan")  # from the bound, what the planned trials would have found
     wins: float = float("nan")  # share of pairs of trials in which the first of two cells is higher
     of_best: float = float("nan")  # the score against the best expert
+
+    @property
+    def enough(self) -> bool:
+        """Whether every cell has its trials."""
+        return min(self.trials.values()) >= MIN_TRIALS
 
     @property
     def verdict(self) -> tuple[str, str]:
@@ -317,6 +324,25 @@ def table(frame: pd.DataFrame) -> Styler:
         rows.append(row)
     page = styled(pd.DataFrame(rows))
     return page.map(_color, subset=[column for column in page.columns if column[1] == "verdict"])
+
+
+def gap(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, under which loss of D SILEM's gap over its ablation appears, by `RULES`."""
+    losses = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
+    rows = []
+    for claim in of(results.context(frame)[0]):
+        if claim.title == _GAP:
+            row, appears = {"body": claim.body}, []
+            for name, runs in losses.items():
+                if runs is not None:
+                    (finding,), verdict, _ = claim.judge(runs)
+                    told = _value(finding, results.n_trials(runs), alone=True, trials=True)
+                    row[f"SILEM less SILEM⁻, {name}"] = told
+                    appears.append((name, finding.enough and verdict == HOLDS, finding.enough))
+            where = " and ".join(name for name, holds, _ in appears if holds) or "neither"
+            known = all(enough for *_, enough in appears)
+            rows.append(row | {"the gap appears under": where if known else "open: too few trials"})
+    return pd.DataFrame(rows)
 
 
 def counts(frame: pd.DataFrame) -> dict[str, int]:

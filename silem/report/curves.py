@@ -25,7 +25,7 @@ QUANTITIES = {
 }
 """Columns of a curve: what each is called, and how many digits it is written with."""
 
-_DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)))
+_DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 _N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
 _TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
@@ -95,7 +95,7 @@ def rises(frame: pd.DataFrame) -> list[bool]:
 
 @style.applied()
 def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
-    """Draw every run of one to three tables, by name, over iterations: a dash per table."""
+    """Draw every run of one to four tables, by name, over iterations: a dash per table."""
     first, lines, dashes = next(iter(groups.values())), [], {}
     for ls, (name, frame) in zip(_DASHES, groups.items(), strict=False):
         dashes[f"{name}: {style.trials(len(frame))}"] = ls

@@ -74,7 +74,7 @@ def load_records(
     plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
-    for record in _records(cells(study)[0].study, budget):
+    for record in _records(next((cell.study for cell in cells(study)), study), budget):
         config = record.run_config()
         if _is_copy(config):
             continue

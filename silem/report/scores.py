@@ -267,9 +267,13 @@ def against(
             groups = known.groupby(places[known.index])[column]
             for place, values in groups:
                 draw_trials(axes, place, values.to_numpy(), method)
-            axes.plot(groups.mean(), color=style.method(method).color, lw=1.4)
+            if len(known):
+                axes.plot(groups.mean(), color=style.method(method).color, lw=1.4)
         if not axes.lines:
+            axes.set_yticks([])  # a scale without a run means nothing
             style.say(axes, "no run")
+    if not any(axes.lines for axes in grid):
+        grid[0].set_xticks([])
     return finish(figure, frame, methods_of(frame, methods), "lines: means over trials")
 
 

@@ -11,9 +11,13 @@ from matplotlib.ticker import MaxNLocator
 
 from silem import bodies, paper
 from silem.bodies import BulletBody
+from silem.motion import retargeted
+from silem.motion.demonstrations import Demonstrations, file_of
 from silem.motion.features import FEATURES
-from silem.report import results, scores, style
+from silem.report import results, scores, statistics, style
+from silem.report.style import number
 from silem.study.record import TRANSFORM, RunRecord
+from silem.study.settings import HUMAN
 from silem.util import files
 from silem.util.errors import SilemError, choose
 
@@ -23,6 +27,7 @@ _ENTRIES = {
     "b": ("b, offset (0: unchanged)", 0.0),
 }
 _ARMS = ("left hand", "right hand", "elbow")
+_LIMBS = (*_ARMS[:2], "left foot", "right foot")
 _TORSO = (
     "height above start", "bearing, sine", "bearing, cosine", "forward velocity",
     "sideways velocity", "vertical velocity", "roll", "pitch",
@@ -87,8 +92,8 @@ def by_feature(frame: pd.DataFrame) -> Figure:
 
     They are those of the best policies, at most as many as the paper shows, each a small mark.
     Lines join the features of a group, and stripes lie under those of a humanoid's arms, which
-    HumanoidR's asymmetry touches. A run of another number of iterations than planned is a cross
-    and enters no mean.
+    HumanoidR's asymmetry touches; an upright stroke is what is `expected` by the limbs' lengths. A
+    run of another number of iterations than planned is a cross and enters no mean.
     """
     frame = scores.runs_of("by_feature", frame)
     names, handles, n_best = results.body_names(frame), [], paper.number("best_policies_shown")
@@ -109,13 +114,57 @@ def by_feature(frame: pd.DataFrame) -> Figure:
             for group in feature_groups(body) if len(values) else ():
                 columns = list(group.columns)
                 axes.plot(values.mean(axis=0)[columns], places[columns], ms=5, lw=0.8, **look)
+        if np.isfinite(hoped := expected(body)).any():
+            panels["A"].plot(hoped, places, "|", color=look["color"], ms=8, mew=2)
         words = "".join(f"; ×: {n:,} iterations" for n in others["n_iterations"])
         label = f"{body}, {style.trials(len(best))}{words}"
         handles.append(style.handle(label=label, ms=7, ls="none", **look))
     for axes in panels.values() if frame.empty else ():
         style.say(axes, "no run")
     note = f"small: a policy, large: their mean; the paper shows each body's best {n_best}"
+    if any(np.isfinite(expected(body)).any() for body in names):
+        note += "; upright strokes: the ratio of the limbs' distances from the torso"
     return scores.finish(figure, frame, handles, note)
+
+
+def expected(body: str) -> np.ndarray:
+    """Return what a humanoid's A, (F,), is by its limbs: the man's distances over the body's.
+
+    They are a hand's or foot's from the torso, means over his walk and over the same walk that
+    inverse kinematics gives the body; NaN of other features, and of bodies that no walk is given.
+    """
+    ratios = np.full(len(feature_names(body)), np.nan)
+    if file_of(retargeted(HUMAN, body)).exists():
+        walks = [Demonstrations.load(n).features[0] for n in (HUMAN, retargeted(HUMAN, body))]
+        for columns in (list(g.columns) for g in feature_groups(body) if g.name in _LIMBS):
+            man, ours = (np.linalg.norm(walk[:, columns], axis=1).mean() for walk in walks)
+            ratios[columns] = man / ours
+    return ratios
+
+
+def agreement(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, A of humanoids' limbs beside `expected`, and their rank correlation.
+
+    A is the mean over a body's best policies. The correlation is over the limbs' coordinates, three
+    of which share an expectation.
+    """
+    rows = []
+    for body in results.body_names(frame):
+        runs = results.cell(frame, "silem", body).sort_values("return_mean", ascending=False)
+        best = _values(runs.head(paper.number("best_policies_shown")), "A")
+        row, hoped = {"body": body, "policies": str(len(best))}, expected(body)
+        for group in (g for g in feature_groups(body) if g.name in _LIMBS):
+            columns = list(group.columns)
+            learned = number(best[:, columns].mean() if len(best) else None, 2)
+            row[group.name] = f"{number(hoped[columns[0]], 2)} → {learned}"
+        known = np.isfinite(hoped)
+        row["rank correlation"] = style.DASH
+        if len(best) and known.any():
+            found = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
+            rho, low, high = (number(value, 2) for value in found)
+            row["rank correlation"] = f"{rho} [{low} to {high}]"
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 @style.applied()

@@ -1,1 +1,1 @@
-"""Runs, campaigns and their records: from a configuration to numbers on the disk."""
+"""Runs, studies and their records: from a configuration to numbers on the disk."""

@@ -58,10 +58,24 @@ SEARCH_SEEDS = (100, 101, 102, 103, 104)
 
 
 def _define(
-    name: str, about: str, *cells: tuple[Any, ...], seeds: tuple[int, ...] = TRIAL_SEEDS
+    name: str, about: str, *groups: tuple[Any, ...], seeds: tuple[int, ...] = TRIAL_SEEDS
 ) -> None:
-    """Enter a study; of each cell comes what follows the study's name in `Cell`."""
-    STUDIES[name] = Study(tuple(Cell(name, *cell) for cell in cells), seeds, about)
+    """Enter a study, of groups of cells: methods, bodies, and what follows those in `Cell`.
+
+    A group holds every one of its methods on every one of its bodies; one may stand by itself.
+    """
+    cells = (
+        Cell(name, method, body, *rest)
+        for methods, bodies, *rest in groups
+        for method in ([methods] if isinstance(methods, str) else methods)
+        for body in ([bodies] if isinstance(bodies, str) else bodies)
+    )
+    STUDIES[name] = Study(tuple(cells), seeds, about)
+
+
+def _own(bodies: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Return the groups of imitators of each body's own expert."""
+    return [("silem-minus-own", body, body) for body in bodies]
 
 
 _ANTS = tuple(f"Ant{i}" for i in range(7))
@@ -76,45 +90,29 @@ _NO_PENALTY = (("gradient_penalty", 0.0),)
 _define(
     "halfcheetah",
     "Figure 2b and Table 1",
-    *(("ppo", body) for body in _CHEETAHS),
-    *((method, body, "HC0") for method, body in product(_BOTH, _CHEETAHS)),
-    *(("silem-minus-own", body, body) for body in _CHEETAHS),
+    ("ppo", _CHEETAHS),
+    (_BOTH, _CHEETAHS, "HC0"),
+    *_own(_CHEETAHS),
     ("silem-mlp", "HC0", "HC0"),
-    *(("random", body) for body in _CHEETAHS),
+    ("random", _CHEETAHS),
 )
-_define(
-    "ant",
-    "Figure 2d",
-    *(("ppo", body) for body in _ANTS),
-    *((method, body, "Ant0") for method, body in product(_BOTH, _ANTS)),
-    *(("silem-minus-own", body, body) for body in _ANTS),
-    *(("random", body) for body in _ANTS),
-)
+_define("ant", "Figure 2d", ("ppo", _ANTS), (_BOTH, _ANTS, "Ant0"), *_own(_ANTS), ("random", _ANTS))
 _define(
     "ant-absorbing",
     "the shortest and the longest Ant, with what follows an early end judged too",
-    *(
-        (method, body, "Ant0", (("absorbing_states", True),))
-        for method, body in product(_BOTH, ("Ant0", "Ant6"))
-    ),
+    (_BOTH, ("Ant0", "Ant6"), "Ant0", (("absorbing_states", True),)),
     seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "humanoids",
     "Figures 3b, 4a and 4b",
-    *(
-        (method, body, None, _LARGER_STEPS)
-        for method, body in product(("ppo", *_BOTH, "peng20", "tpil"), _HUMANOIDS)
-    ),
-    *(("random", body) for body in _HUMANOIDS),
+    (("ppo", *_BOTH, "peng20", "tpil"), _HUMANOIDS, None, _LARGER_STEPS),
+    ("random", _HUMANOIDS),
 )
 _define(
     "humanoids-no-gradient-penalty",
     "humanoids with the paper's loss for D, which has no gradient penalty",
-    *(
-        (method, body, None, _LARGER_STEPS + _NO_PENALTY)
-        for body, method in product(_HUMANOIDS, _BOTH)
-    ),
+    *((_BOTH, body, None, _LARGER_STEPS + _NO_PENALTY) for body in _HUMANOIDS),
     seeds=TRIAL_SEEDS[:3],  # fewer decide nothing
 )
 _NO_L2 = (("transform_l2_scale", 0.0), ("transform_l2_bias", 0.0))
@@ -125,8 +123,8 @@ for _name, _about, _changed in (
     ("plain-l2", "the plain norm of A in T's L2 term", (("transform_l2_form", "plain"),)),
     ("no-l2", "SILEM without the L2 term on T", _NO_L2),
 ):  # fmt: skip
-    _cell = ("silem", "Humanoid", None, _LARGER_STEPS + _changed)
-    _define(_name, _about, _cell, seeds=TRIAL_SEEDS[:1])
+    _group = ("silem", "Humanoid", None, _LARGER_STEPS + _changed)
+    _define(_name, _about, _group, seeds=TRIAL_SEEDS[:1])
 
 # Where a rival falls on a humanoid: is it the budget, its settings, or the method? A cell of the
 # first and of the third study is made if that rival's first trial of "humanoids" falls on that body
@@ -139,7 +137,7 @@ SEARCH_ITERATIONS = 320
 _define(
     "rivals-longer",
     "the humanoids' rivals at twice the iterations, to be made where one falls",
-    *((method, body, None, _LARGER_STEPS, 4000) for body, method in product(_HUMANOIDS, _RIVALS)),
+    *((_RIVALS, body, None, _LARGER_STEPS, 4000) for body in _HUMANOIDS),
     seeds=TRIAL_SEEDS[:1],
 )
 _OF_D: tuple[Settings, ...] = (
@@ -176,22 +174,19 @@ _define(
 _define(
     "no-gradient-penalty",
     "HalfCheetah with the paper's loss for D, which has no gradient penalty",
-    *((method, body, "HC0", _NO_PENALTY) for method, body in product(_BOTH, _CHEETAHS)),
+    (_BOTH, _CHEETAHS, "HC0", _NO_PENALTY),
     seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "demonstrators",
     "each of HC0's five experts as the demonstrator",
-    *(
-        (method, body, f"HC0_s{trial}")
-        for body, trial, method in product(("HC1", "HC2"), TRIAL_SEEDS, _BOTH)
-    ),
+    *((_BOTH, body, f"HC0_s{i}") for body, i in product(("HC1", "HC2"), TRIAL_SEEDS)),
     seeds=TRIAL_SEEDS[:1],
 )
 _define(
     "fidelity",
     "experts at the paper's own number of iterations, and with what differs from ppo1",
-    *(("ppo", body, None, (), paper.common()["n_iterations"]) for body in ("HC1", "HC2")),
+    ("ppo", ("HC1", "HC2"), None, (), paper.common()["n_iterations"]),
     ("ppo", "HC0", None, (("clip_actions", False),)),
     ("ppo", "HC0", None, (("anneal_clip", True),)),
     seeds=TRIAL_SEEDS[:1],
@@ -200,52 +195,42 @@ _define(
 # ---------------------------------------------------------------- beyond the paper
 
 # What a study plans here is what the paper's own studies lack: the pages read both. Bodies that a
-# name describes take HC0's settings, so that nothing but the length differs along a ladder.
+# name describes take HC0's settings, so that nothing but the length differs along a ladder. There
+# the new ones have experts of their own, and others TPIL alone.
 TORSOS = tuple(f"HC-{1 + i / 4:g}" for i in range(1, 9))
 """HalfCheetahs with torsos of 1.25 to 3 m; that of 1 m is HC0."""
 SLOPES_DEG = (2.5, 5.0, 10.0, 15.0)
 
-
-def _ladder(bodies: tuple[str, ...], original: str, others: tuple[str, ...]) -> list[Any]:
-    """Return the cells of bodies that are new, with experts of their own, and TPIL's of others."""
-    return [
-        *(("ppo", body) for body in bodies),
-        *(("silem-minus-own", body, body) for body in bodies),
-        *((method, body, original) for body, method in product(bodies, (*_BOTH, "tpil"))),
-        *(("tpil", body, original) for body in others),
-    ]
-
-
-def _slopes(body: str) -> tuple[str, ...]:
-    return tuple(f"{body}-slope-{degrees:g}" for degrees in SLOPES_DEG)
-
-
-_define(
-    "ladder",
-    "HalfCheetah's torso from 1 to 3 m in steps of 0.25 m: where does each method break?",
-    *_ladder(TORSOS, "HC0", ("HC0",)),
-    seeds=TRIAL_SEEDS[:2],
-)
-_define(
-    "ladder-ant",
-    "Ant's links beyond the paper's, to 0.6",
-    *_ladder(("Ant-0.55", "Ant-0.6"), "Ant0", _ANTS),
-    seeds=TRIAL_SEEDS[:2],
-)
+# On slopes T's rate is what lets an offset of a runner's pitch go as far as the steepest angle; so
+# SILEM runs on the flat with it too, while SILEM-minus has its runs there already.
+_REACHING = (("transform_learning_rate", 1e-4),)
+_UPHILL = [(f"{body}-slope-{deg:g}", body) for body in ("HC0", "Ant0") for deg in SLOPES_DEG]
+for _name, _about, _new, _original, _others in (
+    ("ladder", "HalfCheetah's torso from 1 to 3 m by 0.25 m: where does each method break?",
+     TORSOS, "HC0", "HC0"),
+    ("ladder-ant", "Ant's links beyond the paper's, to 0.6",
+     ("Ant-0.55", "Ant-0.6"), "Ant0", _ANTS),
+):  # fmt: skip
+    _define(
+        _name,
+        _about,
+        ("ppo", _new),
+        *_own(_new),
+        *(((*_BOTH, "tpil"), body, _original) for body in _new),
+        ("tpil", _others, _original),
+        seeds=TRIAL_SEEDS[:2],
+    )
 _define(
     "slope",
     "the conjecture: demonstrations on flat ground, learners that run uphill",
-    *(
-        (method, body, original)
-        for original in ("HC0", "Ant0")
-        for body, method in product(_slopes(original), _BOTH)
-    ),
+    *(("silem", *pair, _REACHING) for pair in (("HC0", "HC0"), ("Ant0", "Ant0"), *_UPHILL)),
+    *(("silem-minus", *pair) for pair in _UPHILL),
     seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "slope-humanoid",
     "the conjecture, as the paper words it: a human walks on flat ground, a humanoid uphill",
-    *((m, b, None, _LARGER_STEPS) for b, m in product(_slopes("Humanoid"), _BOTH)),
+    *((_BOTH, f"Humanoid-slope-{deg:g}", None, _LARGER_STEPS) for deg in SLOPES_DEG),
     seeds=TRIAL_SEEDS[:1],
 )
 _define(
@@ -294,10 +279,7 @@ _SEARCHED: tuple[tuple[str, Settings], ...] = (
 _define(
     "open-settings",
     "what the paper leaves open, on HC1 and HC2",
-    *(
-        (method, body, "HC0", overrides)
-        for (method, overrides), body in product(_SEARCHED, ("HC1", "HC2"))
-    ),
+    *((method, ("HC1", "HC2"), "HC0", overrides) for method, overrides in _SEARCHED),
     seeds=SEARCH_SEEDS[:1],
 )
 

@@ -2,7 +2,8 @@
 
 Writes go to a temporary file in the same folder, reach the disk, and then take the final name in
 one step: a reader, or a process that starts after a crash, sees the old file or the new one.
-Whatever goes wrong with a file becomes a `SilemError` that names it.
+Whatever goes wrong with a file, or with what is to be written, becomes a `SilemError` that names
+the file: every function here raises it.
 """
 
 import csv
@@ -30,10 +31,7 @@ MAX_UNFOLDED_BYTES = 1 << 29
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file atomically, creating its folder where needed.
-
-    Raises SilemError: it cannot be written; the file that was there before is untouched.
-    """
+    """Write a file atomically, in its folder or a new one; SilemError leaves the file before."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -91,15 +89,12 @@ def _content(path: Path, what: str) -> Iterator[bytes]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text atomically. Raises as `write_bytes`."""
+    """Write UTF-8 text atomically."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, obj: Any) -> None:
-    """Write an object as indented JSON, atomically.
-
-    Raises SilemError as `write_bytes`, or the object holds NaN, infinity, or what JSON cannot say.
-    """
+    """Write an object as indented JSON, atomically; NaN and infinity are none."""
     try:
         text = json.dumps(obj, indent=2, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -108,10 +103,7 @@ def write_json(path: Path, obj: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; raises SilemError if it is missing, truncated or no JSON.
-
-    NaN and Infinity are not, although Python reads them.
-    """
+    """Read a JSON file; NaN and Infinity are no JSON, although Python reads them."""
 
     def refuse(constant: str) -> float:
         raise ValueError(f"it holds {constant}")
@@ -121,11 +113,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """Read a CSV file of numbers: its columns by name, NaN where blank.
-
-    Raises SilemError: the file is missing, holds anything but numbers below its one line of names,
-    or its rows differ in length.
-    """
+    """Read a CSV file of numbers below one line of names: columns by name, NaN where blank."""
     with _content(path, "no table of numbers") as data:
         names, *rows = csv.reader(io.StringIO(data.decode()), strict=True)
         if len(set(names)) != len(names) or any(len(row) != len(names) for row in rows):
@@ -135,10 +123,7 @@ def read_csv(path: Path) -> dict[str, np.ndarray]:
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays as an uncompressed npz file; the same arrays always give the same bytes.
-
-    Raises SilemError as `write_bytes`, or an array would need a pickle (dtype object).
-    """
+    """Write arrays as an uncompressed npz file; the same arrays always give the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
@@ -153,11 +138,7 @@ def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """Read every array of an npz file.
-
-    Raises SilemError: the file is missing, truncated, damaged, encrypted, no npz, holds a pickle or
-    one name twice, or its arrays take more than `MAX_UNFOLDED_BYTES`.
-    """
+    """Read every array of an npz file: none a pickle, and up to `MAX_UNFOLDED_BYTES` in all."""
     with (
         _content(path, "no readable npz file of plain arrays") as data,
         zipfile.ZipFile(io.BytesIO(data)) as archive,
@@ -177,10 +158,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
 def write_tensors(
     path: Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write named arrays and text metadata as a safetensors file; the same ones, the same bytes.
-
-    Raises SilemError as `write_bytes`, or an array's dtype is none of safetensors'.
-    """
+    """Write named arrays and text metadata as a safetensors file; the same ones, the same bytes."""
     # asarray with order="C" keeps 0-d arrays as they are, unlike ascontiguousarray.
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     # One JSON text, because safetensors does not keep the order of several.
@@ -193,10 +171,7 @@ def write_tensors(
 
 
 def read_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Read the arrays and the metadata of a file made by `write_tensors`.
-
-    Raises SilemError: the file is missing, truncated, damaged or not of this project.
-    """
+    """Read the arrays and the metadata of a file made by `write_tensors`, and of no other."""
     with _content(path, "damaged or no safetensors file of this project") as data:
         # safetensors.numpy.load drops the metadata; they stand in the header, whose length
         # is the first 8 bytes.
@@ -223,8 +198,8 @@ def lock(path: Path, wait_s: float = 1.0) -> Iterator[None]:
     """Hold a lock file while the ``with`` block runs, after waiting `wait_s` for another process.
 
     The kernel releases the lock when its process ends, even by ``kill -9``, so no stale lock can
-    stay behind. The file's text is the holder's ``pid@host``, for messages only. Raises SilemError:
-    another process holds the lock (`Held`, which names it), or there can be none.
+    stay behind. The file's text is the holder's ``pid@host``, for messages only. Where another
+    process holds the lock, the error is `Held`.
     """
     path = Path(path)
     until = time.monotonic() + wait_s

@@ -134,6 +134,17 @@ def test_one_component_is_silem_to_the_bit() -> None:
     assert not np.array_equal(plain["policy/log_std"], two["policy/log_std"])
 
 
+def test_an_ensemble_goes_on_from_its_saved_arrays() -> None:
+    model, other = (make_model(transform_components=3) for _ in range(2))
+    model.learn(128)
+    arrays = model.state_arrays()
+    assert {"transform/gate.weight", "transform/shares", "transform/scale"} <= arrays.keys()
+    other.load_state_arrays(arrays)
+    for name, values in model.transform_net.mean().items():
+        np.testing.assert_array_equal(values, other.transform_net.mean()[name])
+    assert not np.allclose(arrays["transform/shares"], 1 / 3, atol=1e-3)  # as last weighed
+
+
 def test_an_mlp_has_no_components() -> None:
     with pytest.raises(SilemError, match="only affine maps have components, not 'mlp'"):
         make_model("mlp", transform_components=2)

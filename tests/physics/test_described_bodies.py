@@ -13,6 +13,7 @@ from silem.bodies import BulletBody
 from silem.envs import SingleEnv, make_vec
 from silem.envs.bullet import LocomotionTask, State, _felt
 from silem.motion.features import FEATURES
+from silem.report.film import why_no_pictures
 from silem.util.errors import SilemError
 
 SLOPES = ("HC0-slope-10", "Ant0-slope-10", "Humanoid-slope-10")
@@ -144,6 +145,18 @@ def test_a_range_of_arms_is_spread_over_the_environments():
     env, plain = make_vec(body, 4), make_vec("Humanoid", 4)
     steps = [e.step(np.zeros((4, 21), np.float32))[0] for e in (env, plain) if len(e.reset())]
     assert not np.array_equal(*steps)
+
+
+def test_the_first_environments_own_body_is_filmed():
+    if why_no_pictures("Humanoid"):
+        pytest.skip("nothing can be drawn here")
+    pictures = []
+    for given in (["Humanoid-arm-1.5", "Humanoid"], ["Humanoid", "Humanoid-arm-1.5"]):
+        env = make_vec("Humanoid", 2, bodies=[bodies.get(name) for name in given])
+        env.reset()
+        pictures.append(env.render())
+        env.close()
+    assert np.any(pictures[0] != pictures[1])
 
 
 def test_bodies_of_a_batch_are_of_one_kind():

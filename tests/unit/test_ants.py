@@ -20,7 +20,7 @@ from silem.study.studies import study_configs
 
 CASES = ("whole", "partial", "empty")
 FIGURES: dict[str, Callable[[pd.DataFrame], Figure]] = {
-    "figure_2d": scores.figure_2d,
+    "figure_2d": scores.normalised_scores,
     "learning_curves": curves.learning_curves,
     "by_feature": transforms.by_feature,
     "tracking": ants.tracking,
@@ -62,7 +62,7 @@ def test_seven_bodies_fit_into_a_figure(name: str, frame: pd.DataFrame) -> None:
 
 
 def test_figure_2d_shows_scores_speeds_and_steps(frame: pd.DataFrame) -> None:
-    score, speed, steps = scores.figure_2d(frame).axes
+    score, speed, steps = scores.normalised_scores(frame).axes
     for axes, column in ((score, "normalised"), (speed, "speed_m_s"), (steps, "steps")):
         drawn = [line.get_ydata() for line in lines_at(axes, style.METHODS["silem-minus"].color)]
         mean = results.scores(frame, "silem-minus", "Ant6", column).mean()
@@ -75,7 +75,7 @@ def test_figure_2d_shows_scores_speeds_and_steps(frame: pd.DataFrame) -> None:
 
 @synthetic.study("empty")
 def test_without_runs_figure_2d_is_empty_slots(frame: pd.DataFrame) -> None:
-    assert texts(scores.figure_2d(frame)).count("no run") == 7 * (4 + 5 + 5)
+    assert texts(scores.normalised_scores(frame)).count("no run") == 7 * (4 + 5 + 5)
     assert "not run yet" in texts(ants.tracking(frame))
 
 

@@ -51,6 +51,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("work ant --minutes 0", "--minutes: '0' is no whole number from 1"),
         ("work ant --method silem --budget tiny", "needs demonstrations of Ant0"),
         ("work ant/Ant3/ppo", "has searched no grid for ppo on Ant3"),
+        ("search ant/Ant3/silem --winner --sample 4", "is not known yet: 0 of 4 configurations"),
         ("status ant/Ant3/silem/x", "unknown search in ant 'Ant3/silem/x'"),
         ("submit ant --on pbs --print", "unknown engine 'pbs'; allowed: slurm, htcondor, dask"),
         ("submit ant --on slurm --jobs 0", "--jobs: '0' is no whole number from 1"),
@@ -167,6 +168,13 @@ def test_a_quiet_film_says_its_file_alone(
     assert main(words) == 0
     assert capfd.readouterr() == (f"{out}\n", "")
     assert out.stat().st_size > 0
+
+
+def test_a_campaign_is_work_on_one_study_by_two() -> None:
+    asked = "--budget book --workers 1 --method tpil ppo --trials 1 --quiet".split()
+    campaign = parser().parse_args(["campaign", "--study", "humanoids", *asked])
+    work = parser().parse_args(["work", "humanoids", *asked])
+    assert vars(campaign) | {"command": None} == vars(work) | {"command": None}
 
 
 def test_bodies_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

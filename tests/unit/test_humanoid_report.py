@@ -304,7 +304,7 @@ def test_runs_of_other_lengths_decide_nothing(
 
 
 def test_studies_without_claims_are_refused() -> None:
-    with pytest.raises(SilemError, match="allowed: halfcheetah, humanoids"):
+    with pytest.raises(SilemError, match="allowed: halfcheetah, ant, humanoids, slope"):
         claims.of("no-gradient-penalty")
 
 

@@ -110,11 +110,6 @@ def execute(notebook: Path, **given: object) -> nbformat.NotebookNode:
     return papermill.execute_notebook(notebook, out, given, progress_bar=False, cwd=repo)
 
 
-def test_papermill_overrides_the_defaults(notebook: Path) -> None:
-    executed = execute(notebook, seed=7, video_s=2)
-    assert executed.cells[2].outputs[0].text == "{'body': 'HC0', 'seed': 7, 'video_s': 2.0}\n"
-
-
 def test_papermill_with_an_unknown_name_and_a_wrong_type_fails(notebook: Path) -> None:
     with pytest.raises(papermill.PapermillExecutionError) as caught:
         execute(notebook, sede=7, body=3)

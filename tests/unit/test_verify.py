@@ -98,6 +98,7 @@ def test_an_honest_record_is_exact_here_and_from_another_processor(folders: list
         (put("evaluation", "return_std", to=-3.0), "return_std is not the std"),
         (put("evaluation", "upright", to=7.5), r"upright is 7\.5"),
         (put("evaluation", "speed_m_s", to=1e6), "speed_m_s is"),
+        (put("evaluation", "steps_mean", to=0.5), r"steps_mean is 0\.5; it can be 1 to 1000"),
         (put("wall_time_s", to=-5.0), "wall_time_s is -5"),
         (put("processor_time_s", to=-5.0), "processor_time_s is -5"),
         (put("wall_time_s", to="long"), "lacks or misstates"),
@@ -198,6 +199,15 @@ def test_on_another_processor_only_the_mean_must_agree(
     assert verify.verify(folders[0]).outcome == outcome
     rewrite(folders[0], lambda content: content["provenance"].pop("machine"))  # an older record
     assert verify.verify(folders[0]).outcome == outcome
+
+
+def test_all_episodes_also_tell_a_false_length(folders: list[Path]) -> None:
+    evaluation = files.read_json(folders[0] / RECORD)["evaluation"]
+    assert evaluation["steps_mean"] == 1000  # a HalfCheetah's episodes never end early
+    rewrite(folders[0], put("evaluation", "steps_mean", to=900.0))
+    assert verify.verify(folders[0]).outcome == verify.NOT
+    rewrite(folders[0], lambda content: content["evaluation"].pop("steps_mean"))  # an older record
+    assert verify.verify(folders[0]).outcome == verify.EXACT
 
 
 def test_all_episodes_also_tell_a_false_speed(folders: list[Path]) -> None:

@@ -18,12 +18,15 @@ import synthetic_records as synthetic
 from silem import paper
 from silem.cli import main
 from silem.motion import demonstrations
+from silem.report.pages.open_settings import travel_allowed
 from silem.study import demonstrate, runs, work
 from silem.study.config import RunConfig
+from silem.study.evaluate import RandomPolicy, evaluate
 from silem.study.record import CHECKPOINT, PROGRESS, RECORD
 from silem.study.settings import BUDGETS
 from silem.study.studies import (
     SEARCH_SEEDS,
+    SLOPES_DEG,
     TORSOS,
     TRIAL_SEEDS,
     cells,
@@ -96,7 +99,11 @@ def test_what_goes_beyond_the_paper_repeats_none_of_its_runs() -> None:
     }
     for study in beyond:
         found = [(c.method, c.body, c.hyper) for c in study_configs(study, "book", 1)]
-        assert not papers & set(found) and len(set(found)) == len(found)
+        flat = {cell for cell in found if study == "slope" and cell[1] in ("HC0", "Ant0")}
+        assert not papers & {*found} - flat and len({*found}) == len(found)
+    slopes = study_configs("slope", "book", 1, method=["silem"])
+    reach = [travel_allowed(c.hyper, c.budget.n_iterations) for c in slopes]
+    assert min(reach) > math.radians(max(SLOPES_DEG))  # T can make up for the steepest
     counts = [c.hyper.transform_components for c in study_configs("ensembles", "book", 1)]
     assert counts == [2, 4, 8] * 3
 
@@ -204,6 +211,30 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(work.demonstrate, "demonstrate", demonstrate)
     monkeypatch.setattr(work, "_POLL_S", 0.0)
     return order
+
+
+def test_the_command_runs_the_winner_and_says_what_it_is_worth(
+    made: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    publish(b"")
+    words = "search halfcheetah/HC2/silem --budget tiny --sample 2 --trials 1 --quiet".split()
+    assert main(words) == 0 and len(made) == 2
+    assert "fresh seeds" not in capsys.readouterr().out
+    assert main([*words, "--winner"]) == 0
+    assert len(made) in (2 + 4, 2 + 8)  # the winner and the supplement's best may be the same
+    assert "(on fresh seeds: " in capsys.readouterr().out
+
+
+def test_a_searchs_run_is_published_with_the_length_of_its_episodes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    budget = BUDGETS["quick"].with_iterations(1)
+    for study, n in (("search-x", 1), ("x", 0)):
+        record = runs.run(RunConfig.create("Ant0", "random", None, budget, study=study), False)
+        assert len(list(paths.results_dir(study).glob(f"*/{RECORD}"))) == n
+        assert 1 <= record.evaluation["steps_mean"] <= 1000
+    short = evaluate(RandomPolicy("Ant0"), "Ant0", 3, max_steps=20)
+    assert short.steps_mean == 20
 
 
 def test_imitators_wait_for_every_expert_that_the_rule_chooses_from(made: list[str]) -> None:

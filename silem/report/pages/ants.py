@@ -19,8 +19,7 @@ from silem.report.transforms import feature_names
 from silem.study.settings import BUDGETS
 from silem.study.studies import seeds_of
 
-_FEWEST_BODIES = 3  # of which a rank correlation is told
-_NAMED = 3  # entries that the sentence names
+_FEWEST_BODIES, _NAMED = 3, 3  # that a rank correlation takes; entries that the sentence names
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
 _COLUMNS = ("entry", "feature", "rho", "low", "high")
 SHARE, STANDING = "survival, of the expert's return", "standing"
@@ -105,11 +104,10 @@ def tracking_says(found: pd.DataFrame) -> str:
     text = f"Of {len(found)} entries of A and b the intervals of {len(sure)} exclude zero"
     text += f"; {chance} would where nothing tracks anything."
     strongest = sure.loc[sure["rho"].abs().sort_values(ascending=False).index].head(_NAMED)
-    named = [
-        f"{row.entry} of {row.feature} ({number(row.rho, 2)}, {number(row.low, 2)} to"
-        f" {number(row.high, 2)})"
-        for row in strongest.itertuples()
-    ]
+    named = []
+    for row in strongest.itertuples():
+        rho, low, high = (number(value, 2) for value in (row.rho, row.low, row.high))
+        named.append(f"{row.entry} of {row.feature} ({rho}, {low} to {high})")
     return f"{text} The strongest: {'; '.join(named)}." if named else text
 
 

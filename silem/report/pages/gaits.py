@@ -82,10 +82,10 @@ def trajectory(demonstrations: Demonstrations, duration_s: float = 2.0) -> Figur
     figure, grid = style.new_figure(7.2, nrows=4, sharex=True, height_ratios=heights)
     for axes, group in zip(grid[:3], lines, strict=True):
         axes.set_prop_cycle(color=mpl.colormaps["tab10"].colors)  # type: ignore[attr-defined]
-        axes.plot(step_s * np.arange(len(values)), values[:, group.columns], lw=1.2)
+        time_s = step_s * np.arange(len(values))
+        axes.plot(time_s, values[:, group.columns], lw=1.2, label=group.labels)
         axes.set_ylabel(f"{group.name}\n({group.unit})")
-        place = {"loc": "center left", "bbox_to_anchor": (1, 0.5)}
-        axes.legend(axes.lines, group.labels, **place, fontsize=8, handlelength=1.2)
+        axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8, handlelength=1.2)
     for row, column in enumerate(contacts.columns):  # a bar while a part touches the floor
         edges = np.flatnonzero(np.diff(values[:, column] > 0.5, prepend=False, append=False))
         bars = step_s * np.stack([edges[::2], edges[1::2] - edges[::2]], axis=1)

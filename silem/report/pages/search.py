@@ -119,7 +119,5 @@ def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
             axes.set_yticks([])
     grid[0, 0].set_ylabel("true return")
     grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
-    note = (
-        f"{title}: {len(ranked)} configurations; a dot is the mean over its trials, a line that of"
-    )
-    return style.finish(figure, (), f"{note} all with the value")
+    note = "a dot is the mean over one's trials, a line that of all with the value"
+    return style.finish(figure, (), f"{title}: {len(ranked)} configurations; {note}")

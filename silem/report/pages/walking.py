@@ -5,28 +5,53 @@ Everywhere `frame` holds the runs of one study at one budget, from `results.load
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+from typing import Any
 
+import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from silem import bodies
 from silem.bodies import MujocoBody
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
+from silem.motion.demonstrator import CLIPS, published_motion
+from silem.motion.gait import distance, walk
 from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
 from silem.report.curves import QUANTITIES, rises
 from silem.report.style import number
+from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
+from silem.study.settings import BUDGETS
+from silem.study.studies import cells, seeds_of
+from silem.study.training import task_options
+from silem.util import files, paths
 
-FILMED = ("silem", "silem-minus", "tpil", "peng20", "ppo")
-"""The methods that are filmed, in their order on the page."""
+COMPARED = ("silem", "silem-minus", "tpil", "peng20")
+"""The methods of the paper's twelve cells, in their order on the page."""
+
+RIVALS = COMPARED[1:]
 
 WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
 STANDS, FALLS = "stands", "falls"
 
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
+MAN = "08_01"
+MEASURES = {
+    "step_hz": "steps per second", "stance_left": "stance, left", "stance_right": "stance, right",
+    "clearance_m": "clearance (m)", "symmetry": "symmetry", "features": "from his features",
+    "movement": "from his movement",
+}  # fmt: skip
+"""Measures of a walk (`silem.motion.gait`) and their headings. The last two are distances to the
+man's clip in its deviations, as they are and with both shifted to the same means: without that a
+body's shape counts as well."""
+
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
 _SIZE = 320, 300  # pixels of a picture in the strip
+_CELL = 200, 264  # and of one cell in the film of all
 
 
 def gait(survived: float, speed_m_s: float) -> str:
@@ -41,14 +66,17 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     """Return one row for each method and number of iterations on a body: means over trials.
 
     ``survived`` is the share of an episode's steps, ``speed_share`` that of the demonstrator's
-    speed; the random policy is left out.
+    speed, ``run_ids`` are the trials; the random policy is left out.
     """
     orders = {"body": results.body_names(frame), "method": list(style.METHODS)}
     ordered = {name: pd.Categorical(frame[name], order) for name, order in orders.items()}
     runs = frame.assign(**ordered)[frame["method"] != "random"]
     keys = ["body", "method", "stand_in", "n_iterations"]
     found = runs.groupby(keys, observed=True, as_index=False).agg(
-        trials=("run_id", "size"), survived=("upright", "mean"), speed_m_s=("speed_m_s", "mean")
+        run_ids=("run_id", list),
+        return_mean=("return_mean", "mean"),
+        survived=("upright", "mean"),
+        speed_m_s=("speed_m_s", "mean"),
     )
     found = found.astype({"body": str, "method": str})
     step_s = {name: bodies.of_kind(name, MujocoBody).control_step_s for name in orders["body"]}
@@ -58,27 +86,73 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
-def gait_table(groups: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return, as text, how the policies of some tables of runs, by name, move: a row per cell."""
+def measured(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
+    """Return how the policies of some runs walk, by run id: `MEASURES`, means over episodes."""
+    rows = {}
+    for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
+        run = results.find(run_id)
+        config, policy = run.run_config(), load_policy(run)
+        rate_hz, task = 1 / config.learner.control_step_s, task_options(config)
+        seen = episodes(policy, config.learner, n_episodes, EVALUATION_SEED, **task)
+        rows[run_id] = pd.DataFrame([_measures(e.features, rate_hz) for e in seen]).mean()
+    return pd.DataFrame(rows, index=list(MEASURES)).T
+
+
+def _measures(features: np.ndarray, rate_hz: float) -> dict[str, float]:
+    shown = published_motion(MAN).features
+    moved = features - features.mean(axis=0) + shown.mean(axis=0)
+    found = {"features": features, "movement": moved}
+    distances = {name: distance(these, shown, rate_hz) for name, these in found.items()}
+    return walk(features, rate_hz)._asdict() | distances
+
+
+def _man() -> pd.DataFrame:
+    """Return the man's own measures: in the clip shown, in his others, and if he only stood."""
+    man, others = published_motion(MAN), [published_motion(n) for n in CLIPS if n != MAN]
+    still = np.repeat(man.features.mean(axis=0, keepdims=True), len(man.features), axis=0)
+    rows = {
+        "as shown": man.speed_m_s, f"his {len(others)} other clips":
+        np.mean([other.speed_m_s for other in others]), "if he stood in his mean pose": 0.0,
+    }  # fmt: skip
+    table = pd.DataFrame({"method": rows.keys(), "speed_m_s": rows.values()})
+    means = [pd.DataFrame([_measures(m.features, m.rate_hz) for m in ms]).mean()
+             for ms in ([man], others, [replace(man, features=still)])]  # fmt: skip
+    return table.join(pd.DataFrame(means))
+
+
+def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, how the policies of some tables of runs, by name, move: a row per cell.
+
+    The man stands first; `measures` are what `measured` returns of the runs.
+    """
+
+    def told(found: Any) -> dict[str, str]:
+        return {title: number(found[name], 2) for name, title in MEASURES.items()}
+
     rows = [
-        {
-            "body": found.body,
-            "method": style.method(found.method, "").label,
-            "runs": name,
-            "iterations": number(found.n_iterations),
-            "trials": number(found.trials),
-            "steps survived": number(MAX_STEPS * found.survived),
-            "seconds": number(found.survived_s, 1),
-            "speed (m/s)": number(found.speed_m_s, 2),
-            "of the man's speed": f"{number(100 * found.speed_share)} %",
-            "ground covered, about (m)": number(found.survived_s * found.speed_m_s, 1),
-            "gait": found.gait,
-        }
-        for name, frame in groups.items()
-        for found in gaits(frame).itertuples()
+        {"body": "the man", "method": found["method"], "speed (m/s)": number(found["speed_m_s"], 2)}
+        | told(found)
+        for _, found in _man().iterrows()
     ]
-    table = pd.DataFrame(rows or [{"body": "no run", "method": style.DASH, "gait": style.DASH}])
-    return table.drop(columns="runs", errors="ignore") if len(groups) == 1 else table
+    for name, frame in groups.items():
+        for found in gaits(frame).itertuples():
+            row = {
+                "body": found.body,
+                "method": style.method(found.method, "").label,
+                "runs": name,
+                "iterations": number(found.n_iterations),
+                "trials": number(len(found.run_ids)),
+                "return": number(found.return_mean),
+                "steps survived": number(MAX_STEPS * found.survived),
+                "speed (m/s)": number(found.speed_m_s, 2),
+                "gait": found.gait,
+            }
+            rows.append(row | told(measures.reindex(found.run_ids).mean()))
+    table = pd.DataFrame(rows + [{"body": "no run"}] * (len(rows) == len(_man())))
+    order = ["body", "method", "runs", "iterations", "trials", "return", "steps survived",
+             "speed (m/s)", "gait", *MEASURES.values()]  # fmt: skip
+    left_out = {"runs"} if len(groups) == 1 else set()
+    return table.reindex(columns=[c for c in order if c not in left_out]).fillna(style.DASH)
 
 
 def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
@@ -170,3 +244,140 @@ def show_strip(run_id: str, duration_s: float) -> None:
     else:
         (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
         notebook.show_picture(film.strip(clip, n_frames=6))
+
+
+def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
+    """Film the man, who begins again when his clip ends, PPO, and the twelve cells, on one clock.
+
+    Of each cell the best of its longest runs, from the same first state; blank where there is none.
+    """
+    man, clips = published_motion(MAN), {}
+    shown = film.motion(film.man(), man.qpos, man.rate_hz, size=_CELL)
+    times = np.arange(max(1, round(duration_s * shown.frames_per_s))) % len(shown.frames)
+    clips[f"the man\n(a clip of {man.duration_s:.1f} s)"] = film.Clip(
+        shown.frames[times], shown.frames_per_s
+    )
+    names = results.body_names(frame)
+    for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
+        label, run_id = (
+            style.method(method, "").label.partition(",")[0],
+            longest_run(frame, method, body),
+        )
+        if not run_id:
+            blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
+            clips[f"{label}\n{body}: no run yet"] = film.Clip(blank, shown.frames_per_s)
+            continue
+        run = frame.set_index("run_id").loc[run_id]
+        label += f", {run['n_iterations']:,} iterations" * bool(run["stand_in"])
+        clips |= film.of_runs({f"{label}\n{body}": results.find(run_id)}, duration_s, _CELL)
+    return film.grid(clips, n_columns=4, label_size=0.05)
+
+
+def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
+    """Answer, as text, for each rival and body: does it fall by its budget, settings or method?
+
+    A rival whose runs of `frame` fall is owed a run at twice the iterations (`longer`) and one with
+    what its search chose (`settings`). What does not fall names the reason; where both fall, it is
+    the method as far as that was tried.
+    """
+    rows = []
+    for body, method in product(results.body_names(frame), RIVALS):
+        found = [results.cell(table, method, body) for table in (frame, longer, settings)]
+        up = [float(runs["upright"].mean()) for runs in found]
+        fell = [None if math.isnan(u) else gait(u, 0.0) == FALLS for u in up]
+        causes = [
+            name for name, f in zip(("budget", "settings"), fell[1:], strict=True) if f is False
+        ]
+        answer = " and ".join(causes) or "the method, as far as tried"
+        if not fell[0]:
+            answer = "not run yet" if fell[0] is None else "does not fall"
+        elif not causes and None in fell:
+            answer = "open: not run yet"
+        titles = ("steps survived", "at twice the iterations", "with the search's settings")
+        row = {"body": body, "rival": style.method(method, "").label}
+        row |= {t: number(MAX_STEPS * u) for t, u in zip(titles, up, strict=True)}
+        rows.append(row | {"why it falls": answer})
+    return pd.DataFrame(rows)
+
+
+def search_table(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return, as text, what each setting of the rivals' search led to, in the plan's order."""
+    study, budget = results.context(frame)
+    made, rows, (seed,) = frame.set_index("run_id"), [], seeds_of(study, BUDGETS[budget])
+    usual = {(c.method, c.body): c.overrides for c in cells("humanoids")}
+    for cell in cells(study):
+        changed = [f"{n} {v}" for n, v in cell.overrides[len(usual[cell.method, cell.body]) :]]
+        run = made.reindex([cell.config(budget, seed).run_id]).iloc[0]
+        rows.append(
+            {
+                "rival": style.method(cell.method, "").label,
+                "setting": ", ".join(changed) or "its own",
+                "return": number(run["return_mean"]),
+                "speed (m/s)": number(run["speed_m_s"], 2),
+                "steps survived": number(MAX_STEPS * run["upright"]),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def reversal() -> pd.DataFrame:
+    """Return what discriminators told apart in the toy of TPIL's reversal, means over seeds.
+
+    The toy is `benchmarks.reversal`; columns are ``worse``, ``method``, ``depth``, ``coef``,
+    ``domain_accuracy``, ``probe_accuracy``, ``ranking``, ``reward_good`` and ``seed`` (how many).
+    """
+    rows = pd.DataFrame(files.read_json(paths.REPO / "data" / "search" / "reversal.json"))
+    grouped = rows.groupby(["worse", "method", "depth", "coef"], sort=False)
+    return grouped.mean().assign(seed=grouped["seed"].nunique()).reset_index()
+
+
+def reversal_sentences() -> dict[str, float]:
+    """Return what the page says about the toy: shares in per cent, where C_g > 0, and rewards."""
+    found = reversal().set_index("method")
+    tpil = found.loc["tpil"].query("coef > 0").drop(columns="worse")
+    tpil = tpil.groupby("depth").agg(["mean", "min"])
+    means = found.groupby("method")[["ranking", "reward_good"]].mean()
+    shares = {
+        "shallow_domain": tpil.at[1, ("domain_accuracy", "mean")],
+        "deep_domain": tpil.at[2, ("domain_accuracy", "min")],
+        "deep_probe": tpil.at[2, ("probe_accuracy", "min")],
+        "shallow_ranking": tpil.at[1, ("ranking", "mean")],
+        "deep_ranking": tpil.at[2, ("ranking", "mean")],
+        "silem_ranking": means.at["silem", "ranking"],
+        "minus_ranking": means.at["silem-minus", "ranking"],
+    }
+    rewards = {
+        "deep_good": tpil.at[2, ("reward_good", "mean")],
+        "silem_good": means.at["silem", "reward_good"],
+    }
+    return {name: round(100 * share, 1) for name, share in shares.items()} | rewards
+
+
+@style.applied()
+def reversal_figure() -> Figure:
+    """Draw what TPIL's domain head, a linear probe and its reward tell apart, over C_g."""
+    found, handles = reversal(), {}
+    titles = ("bodies told apart by a state", "good rewarded above bad")
+    names = [f"Worse is {worse}: {title}" for worse in found["worse"].unique() for title in titles]
+    figure, panels = style.panels(names, 2.0, sharex=True, sharey=True)
+    for index, (_, rows) in enumerate(found.groupby("worse", sort=False)):
+        told, ranked = panels[2 * index : 2 * index + 2]
+        for depth, of_depth in rows[rows["method"] == "tpil"].groupby("depth"):
+            look: dict[str, Any] = {"color": style.body_color(depth, 3), "marker": " os"[depth]}
+            label = f"TPIL, encoder of depth {depth}"
+            handles[label] = style.handle(label=label, ms=4, **look)
+            for axes, column, line in (
+                (told, "domain_accuracy", "-"), (told, "probe_accuracy", style.DASHED),
+                (ranked, "ranking", "-"),
+            ):  # fmt: skip
+                axes.plot(of_depth["coef"], of_depth[column], ls=line, ms=4, **look)
+        for method in COMPARED[:2]:
+            known, level = style.method(method, ""), rows.loc[rows["method"] == method, "ranking"]
+            look = {"color": known.color, "ls": ":", "lw": 2}
+            handles[known.label] = style.handle(label=known.label, **look)
+            ranked.axhline(level.mean(), **look)
+    for axes in panels[-2:]:
+        axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
+    note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
+    seeds = " to ".join(dict.fromkeys(str(n) for n in (found["seed"].min(), found["seed"].max())))
+    return style.finish(figure, list(handles.values()), f"{note}; seeds: {seeds}", ncols=4)
