@@ -157,9 +157,6 @@ class AffineTransform(nn.Module):
         """Transform features (..., F) state by state."""
         return features * self.scale + self.offset
 
-    def weigh(self, features: th.Tensor) -> None:
-        """Note by which states (..., F) the mean of several maps is to be taken; here of none."""
-
     def mean(self) -> dict[str, np.ndarray]:
         """Return A's diagonal and b, (F,) each; of several maps the mean that the gate gives."""
         found = {"A": self.scale, "b": self.offset}

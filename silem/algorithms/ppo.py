@@ -30,15 +30,9 @@ class PPO(SB3PPO):
 
     The tanh MLP of ``MlpPolicy`` is rolled out and updated by :class:`FlatActorCritic`; any other
     policy or preprocessing, a clipped value loss and gSDE go through stable-baselines3's own code.
-
-    Args:
-        policy: As in stable-baselines3.
-        env: As in stable-baselines3.
-        *args: Every other argument of ``stable_baselines3.PPO``.
-        normalize_observations: Put :class:`RunningNormalizer` in front of an ``MlpPolicy``.
-        **kwargs: As ``*args``, by name.
-
-    Raises SilemError: a number is not of its kind.
+    The arguments are those of ``stable_baselines3.PPO``, and ``normalize_observations``, which puts
+    :class:`RunningNormalizer` in front of an ``MlpPolicy``. Raises SilemError: a number is not of
+    its kind.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = {
@@ -81,13 +75,8 @@ class PPO(SB3PPO):
         **Load only files you trust**: stable-baselines3's format contains pickles. To give a
         policy away, or to take one, use :meth:`export_policy` and `silem.load_policy`.
 
-        Args:
-            path: The .zip file.
-            env: The environment to go on with; None is enough to predict.
-            device: As in stable-baselines3.
-            custom_objects: As in stable-baselines3.
-            **kwargs: What the constructor takes, in place of what was saved; also
-                ``print_system_info`` and ``force_reset``, as in stable-baselines3.
+        The arguments are stable-baselines3's; ``env`` None is enough to predict, and ``kwargs`` are
+        also what the constructor takes, in place of what was saved.
 
         Raises SilemError: an argument is unknown or of no use, the networks that the arguments
         describe are not those of the file, or the file cannot be read.

@@ -98,7 +98,7 @@ class SILEM(GAIfO):
                 assert isinstance(self.transform_net, AffineTransform)
                 loss = loss + l2_penalty(self.transform_net, *weights, self.transform_l2_form)
             descend(self.transform_optimizer, loss)
-        if isinstance(self.transform_net, AffineTransform):
+        if isinstance(self.transform_net, AffineEnsemble):
             self.transform_net.weigh(tau_c[..., : self.demonstrations.n_features])
         return {"transform_loss": float(np.mean(losses)), "transform_learning_rate": rate}
 

@@ -9,15 +9,11 @@ from typing import Literal
 
 from silem.util.errors import SilemError, choose
 
-MAX_STEPS = 1000
-"""Steps after which an episode of every body of the paper is cut off."""
-
+MAX_STEPS = 1000  #: steps after which an episode of every body of the paper is cut off
 AT_LIMIT = 0.99
 """|scaled angle| beyond which a joint counts as at its limit; PyBullet's task charges it."""
 
-VELOCITY_SCALE = 0.3
-"""Of the root's velocity in the observation of PyBullet's task."""
-
+VELOCITY_SCALE = 0.3  #: of the root's velocity in the observation of PyBullet's task
 Engine = Literal["bullet", "mujoco", "gymnasium"]
 
 

@@ -28,9 +28,7 @@ arm and shortening its left arm" and gives no factor."""
 
 STANDING_HEAD_M = 1.4  # of dm_control's reward
 FALL_HEAD_M = 1.0  # of merel-mocap-gail, the code that the paper started from
-DEMONSTRATOR_SPEED_M_S = 1.6
-"""Mean speed of the man in clip 08_01: 3.679 m in 2.30 s."""
-
+DEMONSTRATOR_SPEED_M_S = 1.6  #: mean speed of the man in clip 08_01: 3.679 m in 2.30 s
 UNSCALED = {"left": 1.0, "right": 1.0}
 
 _ARM_LINKS = ("upper_arm", "lower_arm", "hand")

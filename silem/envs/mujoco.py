@@ -95,10 +95,7 @@ class Simulation(base.Simulation):
         starts: StartStates | None = None,
         bodies: Sequence[MujocoBody] | None = None,
     ) -> None:
-        """Prepare the states; the options are those of `silem.envs.make_vec`.
-
-        Raises SilemError if an option is not allowed.
-        """
+        """Prepare the states; the options are those of `silem.envs.make_vec`."""
         speed_m_s = body.target_speed_m_s if speed_m_s is None else speed_m_s
         COUNT.check("n_threads", n_threads)
         RATE.check("speed_m_s", speed_m_s)
@@ -135,8 +132,7 @@ class Simulation(base.Simulation):
     def advance(self, actions: np.ndarray) -> np.ndarray:
         """Apply actions (E, A), within -1..1, for one control step.
 
-        Returns:
-            Per environment (E,), whether its physics went wrong: MuJoCo then starts it anew.
+        Returns whose physics went wrong, (E,): MuJoCo then starts it anew.
         """
         self._controls[:] = actions
         self._batch.step(nstep=self.body.n_substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
@@ -257,14 +253,9 @@ def rewards(
 ) -> np.ndarray:
     """Return dm_control's reward for walking, (E,), each from 0 to 1.
 
-    The product of standing (head up and torso upright), small control, and speed of the centre
-    of mass in any horizontal direction.
-
-    Args:
-        reading: State after the step.
-        actions: (E, A), clipped to -1..1.
-        standing_head_m: Head height from which a body counts as standing.
-        speed_m_s: Speed that earns the full reward.
+    The product of standing (head up from `standing_head_m` and torso upright), small control, and
+    speed of the centre of mass in any horizontal direction, up to `speed_m_s`. `reading` is the
+    state after the step by `actions` (E, A), clipped to -1..1.
     """
     # tolerance() with a Gaussian that falls to 0.1 a margin below the bound
     below = np.maximum(standing_head_m - reading.head_m, 0.0) / (standing_head_m / 4)

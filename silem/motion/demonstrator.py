@@ -268,10 +268,7 @@ def published_name(clip: str) -> str:
 
 
 def published_motion(clip: str) -> Motion:
-    """Return the motion that was published for a clip: one of `CLIPS`, or an own one.
-
-    Raises SilemError as `silem.motion.demonstrations.load_published`, or if it is no such motion.
-    """
+    """Return the motion that was published for a clip: one of `CLIPS`, or an own one."""
     name = published_name(clip)
     about, (there, _) = demos.entry(name), demos.load_published(name)
     if there.body != BODY or set(there.extra) != set(_PUBLISHED):
@@ -281,10 +278,7 @@ def published_motion(clip: str) -> Motion:
 
 
 def publish_clips(names: Sequence[str] = CLIPS, *, progress: bool = False) -> list[Path]:
-    """Compute subject 8's clips from the raw files (`silem.motion.clips`); publish a file of each.
-
-    Raises SilemError as `load_motion`, or another process is publishing.
-    """
+    """Compute subject 8's clips from their raw files (`silem.motion.clips`); publish each."""
     with demos.publishing():
         return [
             _publish(

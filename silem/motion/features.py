@@ -12,8 +12,7 @@ import numpy as np
 from silem.bodies.body import Skeleton
 from silem.util.errors import SilemError
 
-POINTS = Skeleton.points()
-"""The landmarks, the torso first."""
+POINTS = Skeleton.points()  #: the landmarks, the torso first
 
 
 class Feature(NamedTuple):

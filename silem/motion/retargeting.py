@@ -107,10 +107,7 @@ class Targets(NamedTuple):
 
 
 def targets(motion: Motion, body: MujocoBody) -> Targets:
-    """Scale a demonstrator's motion, T frames, to a learner.
-
-    Raises SilemError: the motion holds NaN or infinity.
-    """
+    """Scale a demonstrator's motion, T frames, to a learner; SilemError on NaN or infinity."""
     for name in ("points", "torso_axes"):
         _check_finite(getattr(motion, name), f"motion {motion.name}: {name} of frame", "hold")
     model = _compiled(body)
@@ -302,11 +299,7 @@ def retarget_clip(motion: Motion, body: MujocoBody, *, progress: bool = False) -
 
 
 def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[Path]:
-    """Retarget a published clip to the three humanoids, and publish the result, a file per body.
-
-    Raises SilemError: the clip was not published, or as `retarget_clip`, or another process is
-    publishing.
-    """
+    """Retarget a published clip to the three humanoids, and publish the result, a file per body."""
     source, written = published_name(clip), []
     with demos.publishing():
         motion, entry = published_motion(clip), demos.entry(source)
@@ -332,10 +325,7 @@ def publish_retargeted(clip: str = "08_01", *, progress: bool = False) -> list[P
 
 
 def published_retargeting(body: str, clip: str = "08_01") -> IKResult:
-    """Return the retargeting that was published for a body.
-
-    Raises SilemError as `silem.motion.demonstrations.load_published`.
-    """
+    """Return the retargeting that was published for a body."""
     name = retargeted(published_name(clip), body)
     about, (there, _) = demos.entry(name), demos.load_published(name)
     joints, ratios = tuple(about["joint_names"]), Limbs(**about["limb_ratios"])

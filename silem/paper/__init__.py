@@ -41,11 +41,6 @@ class PaperTable:
     note: str = ""  #: what is odd about it, if anything
 
     @property
-    def reference(self) -> str:
-        """Its name for a reader, e.g. ``"supplement, Table 16 (tab4.1)"``."""
-        return f"{self.source}, Table {self.number} ({self.label})"
-
-    @property
     def columns(self) -> list[str]:
         """Every column, in the order printed."""
         return list(dict.fromkeys(column for row in self.rows for column in row))

@@ -1,14 +1,9 @@
 """Build the book: execute the notebooks, stage them with the prose, run jupyter-book.
 
 ``python -m silem.report.build`` is what ``make book`` calls; with ``--figures`` it redraws instead
-the committed figures. The steps are separate:
-
-1. papermill executes every notebook in its own process, a few at a time (`execute`);
-2. the executed copies and ``book/`` are laid out as one source tree in ``_build/source``
-   (`stage`), so that a page has the same path in the repository and in the book;
-3. jupyter-book turns that tree into ``_build/html`` with execution off (`build_html`).
-
-A failing notebook or a Sphinx warning fails the build.
+the committed figures. Executed notebooks and ``book/`` are laid out as one source tree, so that a
+page has the same path in the repository and in the book. A failing notebook or a Sphinx warning
+fails the build.
 """
 
 import argparse

@@ -100,11 +100,11 @@ def _hours(runs: pd.DataFrame) -> str:
 def film(_: str = "") -> str:
     """Return the caption of README's film as Markdown."""
     frame = results.load_records("humanoids", "book")
-    parts = [_trials(frame, method) for method in ("silem", "silem-minus")]
+    parts = [_trials(frame, method) for method in walking.COMPARED]
     return (
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"
-        f" {parts[0]}; without the transform, {parts[1]}."
+        f" {parts[0]}; its rivals: {'; '.join(parts[1:])}."
         f" `silem render {FILM} --out walk.mp4` films it again.*"
     )
 

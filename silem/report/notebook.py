@@ -33,7 +33,6 @@ from silem.util.errors import SilemError
 
 _PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 _NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
-_TRIAL = 400, 300  # pixels of one trial's film
 
 
 def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
@@ -169,18 +168,13 @@ def show_strip(clip: Clip | None) -> None:
 
 
 def play_trials(
-    records: pd.DataFrame,
-    methods: Sequence[str],
-    body: str,
-    duration_s: float,
-    *,
-    best: bool = False,
+    records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
 ) -> None:
-    """Film one trial of each method on a body, from one start and side by side.
+    """Film the first trial of each method on a body, from one start and side by side.
 
-    The first trial, whose seed was fixed before any run was made, or the best one. A run of another
-    number of iterations than planned only counts where there is no planned one. What cannot be
-    filmed is named instead; whoever falls stands still from then on.
+    Its seed was fixed before any run was made. A run of another number of iterations than planned
+    only counts where there is no planned one. What cannot be filmed is named instead; whoever falls
+    stands still from then on.
     """
     if why := why_no_pictures(body):
         return note(f"No videos of {body}: {why}")
@@ -189,19 +183,17 @@ def play_trials(
         look = style.method(method, results.original_body(records))
         label = look.label.partition(",")[0]
         groups = [find(records, method, body) for find in (results.cell, results.stand_ins)]
-        if not best:
-            groups = [runs[runs["seed"] == TRIAL_SEEDS[0]] for runs in groups]
+        groups = [runs[runs["seed"] == TRIAL_SEEDS[0]] for runs in groups]
         runs = next((runs for runs in groups if len(runs)), None)
         if runs is None:
             absent.append(label)
         else:
-            run = runs.loc[runs["return_mean"].idxmax()]
+            run = runs.iloc[0]
             label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
             chosen[label] = results.find(run["run_id"])
     if chosen:
-        size, which = films.SIZE if len(chosen) < 3 else _TRIAL, "best" if best else "first"
-        clips = films.of_runs(chosen, duration_s, size)
-        play(films.grid(clips), f"{body}, {which} trials, in real time: {' | '.join(clips)}")
+        clips = films.of_runs(chosen, duration_s)
+        play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")
     if absent:
         note(f"No finished run on {body} yet: {'; '.join(absent)}.")
 

@@ -10,6 +10,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -43,32 +44,9 @@ DASH = "–"
 
 _CHARACTERS_PER_IN = 16.0  # of the footer's small print
 
-_SETTINGS: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same widths on every machine
-    "font.size": 9.0,
-    "text.color": INK,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 8.0,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": MUTED,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.grid.axis": "y",
-    "grid.color": "#e8e8e8",
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.frameon": False,
-    "lines.solid_capstyle": "round",
-    "svg.hashsalt": "silem",  # the same figure gives the same bytes
-}
+_SHEET = mpl.rc_params_from_file(
+    Path(__file__).with_name("silem.mplstyle"), use_default_template=False
+)
 
 
 class MethodStyle(NamedTuple):
@@ -120,7 +98,7 @@ def applied() -> Iterator[None]:
     """Draw a block, or as ``@applied()`` a function, in this look; the old one comes back."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(_SETTINGS)
+        mpl.rcParams.update(_SHEET)
         yield
 
 

@@ -121,7 +121,7 @@ def by_feature(frame: pd.DataFrame) -> Figure:
         handles.append(style.handle(label=label, ms=7, ls="none", **look))
     for axes in panels.values() if frame.empty else ():
         style.say(axes, "no run")
-    note = f"small: a policy, large: their mean; the paper shows each body's best {n_best}"
+    note = f"small: a policy, large: their mean; a body's best {n_best} at most, as in Figure 4"
     if any(np.isfinite(expected(body)).any() for body in names):
         note += "; upright strokes: the ratio of the limbs' distances from the torso"
     return scores.finish(figure, frame, handles, note)

@@ -18,14 +18,9 @@ from silem.study import settings
 from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named, of_family
 from silem.util.errors import SilemError, check_name, choose, reason
 
-TRIAL_SEEDS = (0, 1, 2, 3, 4)
-"""The trials' root seeds, fixed before any run was made."""
-
-SEARCH = "search-"
-"""How the folder of a search's runs begins."""
-
-MAX_RUN_ID = 240
-"""Characters of a run's id, which is a folder's name: file systems take 255."""
+TRIAL_SEEDS = (0, 1, 2, 3, 4)  #: the trials' root seeds, fixed before any run was made
+SEARCH = "search-"  #: how the folder of a search's runs begins
+MAX_RUN_ID = 240  #: characters of a run's id, which is a folder's name: file systems take 255
 
 
 @dataclass(frozen=True)

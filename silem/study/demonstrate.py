@@ -25,7 +25,8 @@ def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[R
 
     Those of its family's study; of a body that its name describes, of the first that plans them.
     """
-    plans = [name for name, known in STUDIES.items() if ("ppo", body) in known.made]
+    cells = (cell for known in STUDIES.values() for cell in known.cells)
+    plans = [cell.study for cell in cells if (cell.method, cell.body) == ("ppo", body)]
     study = plans[0] if plans and body not in bodies.names() else None
     trials = STUDIES[study].seeds if study else TRIAL_SEEDS
     seeds = trials[: budget_named(budget).n_trials] if trial is None else (trial,)

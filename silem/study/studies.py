@@ -46,11 +46,6 @@ class Study:
     seeds: tuple[int, ...]  # the trials' root seeds, fixed before any run was made
     about: str
 
-    @property
-    def made(self) -> set[tuple[str, str]]:
-        """Its methods and bodies."""
-        return {(cell.method, cell.body) for cell in self.cells}
-
 
 STUDIES: dict[str, Study] = {}
 SEARCH_SEEDS = (100, 101, 102, 103, 104)

@@ -48,8 +48,7 @@ def clipped(text: str, longest: int = 200) -> str:
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
-LARGEST = 10**9
-"""More of anything cannot be run through."""
+LARGEST = 10**9  #: more of anything cannot be run through
 _HIGHEST = sys.float_info.max
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -136,6 +137,15 @@ def test_every_environment_has_the_body_it_was_given():
         other = (i + 1) % 3
         assert not np.array_equal(np.array(rows)[:, other], alone)
     assert ended
+
+
+def test_every_environment_starts_as_its_own_body_stands():
+    plain = bodies.get("Humanoid")
+    x, y, z, *rest = plain.standing_pose
+    raised = dataclasses.replace(plain, standing_pose=(x, y, z + 0.5, *rest))
+    env = make_vec("Humanoid", 3, bodies=[plain, raised, plain])
+    env.reset()
+    np.testing.assert_allclose(env.simulation.qpos[:, 2] - z, [0.0, 0.5, 0.0])
 
 
 def test_a_range_of_arms_is_spread_over_the_environments():

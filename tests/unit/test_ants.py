@@ -142,6 +142,14 @@ def test_what_tracks_the_length_is_found_and_little_else(frame: pd.DataFrame) ->
     assert any(line.get_marker() == "o" and line.get_xdata()[0] > 0.9 for line in blue)
 
 
+def test_three_bodies_in_one_trial_each_are_too_few_to_track_anything(frame: pd.DataFrame) -> None:
+    few = results.select(frame, ["silem"], ["Ant0", "Ant3", "Ant6"])
+    assert ants.correlations(results.select(few[few["seed"] == 0], ["silem"])).empty
+    assert len(
+        ants.correlations(results.select(frame, ["silem"], ["Ant0", "Ant2", "Ant3", "Ant6"]))
+    )
+
+
 # ---------------------------------------------------------------- claims
 
 

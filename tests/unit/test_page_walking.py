@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,15 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer, texts
 
-from silem.report import film, notebook, results, style
+from silem.bodies import Body
+from silem.motion.demonstrator import published_motion
+from silem.report import film, results, style
 from silem.report.claims import MARGIN
 from silem.report.curves import compared_curves
+from silem.report.pages import open_settings as search
 from silem.report.pages import walking
 from silem.study.config import RunConfig
+from silem.study.evaluate import EVALUATION_SEED, Episode
 from silem.study.record import RunRecord
 from silem.study.studies import cells
 
@@ -80,7 +85,7 @@ def test_gaits_are_means_over_trials_and_keep_lengths_apart(frame: pd.DataFrame)
     assert set(found.index) == {("Humanoid", "silem"), ("Humanoid", "ppo"), ("Atlas", "silem")}
     walker = found.loc["Humanoid", "silem"]
     trials = results.scores(frame, "silem", "Humanoid", "speed_m_s")
-    assert walker["trials"] == len(trials) == 2
+    assert len(walker["run_ids"]) == len(trials) == 2
     assert walker["speed_m_s"] == pytest.approx(trials.mean())
     assert walker["speed_share"] == pytest.approx(trials.mean() / 1.6)
     assert walker["gait"] == walking.WALKS
@@ -89,13 +94,93 @@ def test_gaits_are_means_over_trials_and_keep_lengths_apart(frame: pd.DataFrame)
     assert (faller["n_iterations"], faller["stand_in"], faller["gait"]) == (SHORT, True, "falls")
 
 
-def test_the_table_names_its_groups_only_where_there_are_two(frame: pd.DataFrame) -> None:
-    one, two = walking.gait_table({"": frame}), walking.gait_table({"here": frame, "there": frame})
+def test_the_table_has_the_man_first_and_means_over_a_cells_trials(frame: pd.DataFrame) -> None:
+    cell = results.cell(frame, "silem", "Humanoid")
+    measures = pd.DataFrame(np.nan, index=frame["run_id"], columns=list(walking.MEASURES))
+    measures.loc[cell["run_id"], "step_hz"] = [1.0, 2.0]
+    measures.loc[cell["run_id"], "stance_left"] = [0.5, 0.7]
+    one = walking.gait_table({"": frame}, measures)
+    two = walking.gait_table({"here": frame, "there": frame}, measures)
     assert "runs" not in one
-    assert list(two["runs"]) == ["here"] * len(one) + ["there"] * len(one)
+    n = len(one) - 3
+    assert list(two["runs"]) == [style.DASH] * 3 + ["here"] * n + ["there"] * n
+    man = one.iloc[0]
+    assert (man["body"], man["speed (m/s)"], man["from his movement"]) == (
+        "the man",
+        "1.60",
+        "0.00",
+    )
+    statue = one.iloc[2]
+    assert (statue["speed (m/s)"], statue["steps per second"]) == ("0.00", "0.00")
+    assert float(statue["from his movement"]) > 0.5
     row = one[(one["body"] == "Humanoid") & (one["method"] == "SILEM")].iloc[0]
-    seconds, speed = float(row["seconds"]), float(row["speed (m/s)"])
-    assert float(row["ground covered, about (m)"]) == pytest.approx(seconds * speed, rel=0.01)
+    assert (row["steps per second"], row["trials"]) == ("1.50", "2")
+    assert row["stance, left / right"] == "0.60 / –"
+
+
+def test_measures_are_those_of_the_policys_episodes(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who does as the man does is at no distance from him; who stands makes no steps."""
+    man = published_motion(walking.MAN).features
+    shown = {"silem": man, "ppo": np.repeat(man[:1], 80, axis=0)}
+    met: list[tuple[str, int, int]] = []
+
+    def episodes(policy: str, body: Body, n: int, seed: int, **task: float) -> list[Episode]:
+        met.append((body.name, n, seed))
+        return [Episode(shown[policy], 0.0, None, None)] * n
+
+    monkeypatch.setattr(walking, "episodes", episodes)
+    monkeypatch.setattr(walking, "load_policy", lambda run: run.config["method"])
+    found = walking.measured(frame, 2)
+    assert set(met) == {(b, 2, EVALUATION_SEED) for b in ("Humanoid", "Atlas")}
+    assert len(found) == len(met) == 4  # the random policy is left out
+    of = {name: found.loc[results.select(frame, [name])["run_id"]] for name in shown}
+    assert (of["silem"]["features"] == 0).all() and (of["silem"]["step_hz"] > 1.8).all()
+    assert (of["ppo"]["step_hz"] == 0).all() and of["ppo"]["symmetry"].isna().all()
+
+
+def test_why_a_rival_falls_is_asked_only_where_it_falls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    for body, level in (("Humanoid", 850.0), ("HumanoidR", 60.0), ("Atlas", 60.0)):
+        synthetic.write_record(planned("tpil", body), level)
+    for method, level in (("silem-minus", 60.0), ("peng20", 60.0)):
+        synthetic.write_record(planned(method, "Atlas"), level)
+    longer = {(c.method, c.body): c.config("book", 0) for c in cells("rivals-longer")}
+    synthetic.write_record(longer["tpil", "HumanoidR"], 850.0)
+    synthetic.write_record(longer["peng20", "Atlas"], 60.0)
+    frame, of_longer = (results.load_records(s, "book") for s in ("humanoids", "rivals-longer"))
+    chosen = results.load_records("humanoids", "book")  # as if the search had chosen what is in use
+    for settings, peng in ((results.load_records("rivals-settings", "book"), "open: not run yet"),
+                           (chosen, "the method, as far as tried")):  # fmt: skip
+        table = walking.verdicts(frame, of_longer, settings).set_index(["body", "rival"])
+        answers = table["why it falls"]
+        assert answers["Humanoid", "TPIL"] == "does not fall"
+        assert answers["HumanoidR", "TPIL"] == "budget"
+        assert answers["Atlas", "SILEM⁻"] == "open: not run yet"
+        assert answers["Atlas", "Peng20"] == peng
+        assert answers["HumanoidR", "Peng20"] == "not run yet"
+
+
+def test_every_rival_has_as_many_runs_of_a_search_as_silem_had() -> None:
+    silem = search.load("humanoids", "silem")
+    longest = max(curve["iteration"].max() for curve in silem["curve"])
+    tried = Counter(cell.method for cell in cells("rivals-search"))
+    assert set(tried) == set(walking.RIVALS) and set(tried.values()) == {len(silem)}
+    assert {cell.n_iterations for cell in cells("rivals-search")} == {longest}
+    table = walking.search_table(results.load_records("rivals-search", "book"))
+    counts = [(table[name] == style.DASH).sum() for name in ("SILEM⁻", "TPIL", "Peng20")]
+    assert counts == [len(silem)] * 3
+
+
+def test_the_toy_of_the_reversal_is_drawn_and_told() -> None:
+    figure, told = walking.reversal_figure(), walking.reversal_sentences()
+    assert_readable(figure)
+    assert len(figure.axes) == 4 and {"SILEM", "SILEM⁻"} <= set(texts(figure))
+    assert told["silem_ranking"] > told["minus_ranking"]
+    assert all(0 <= told[name] <= 100 for name in told)
 
 
 def test_sentences_count_gaits_and_name_the_longest(frame: pd.DataFrame) -> None:
@@ -123,7 +208,8 @@ def test_without_runs_everything_says_so(empty: pd.DataFrame) -> None:
     said = walking.sentences(empty)
     assert (said["n_cells"], said["longest"]) == (0, style.DASH)
     assert np.isnan(walking.cell_sentences(empty, "x", "silem", "Atlas")["x_steps"])
-    assert list(walking.gait_table({"": empty})["body"]) == ["no run"]
+    table = walking.gait_table({"": empty}, walking.measured(empty, 1))
+    assert list(table["body"]) == ["the man"] * 3 + ["no run"]
     assert walking.longest_run(empty, "silem", "Humanoid") == ""
     assert list(walking.milestones(empty, "silem", "Humanoid")["iterations"]) == ["no run"]
     figure = compared_curves({"these": empty, "those": empty})
@@ -169,24 +255,30 @@ def test_compared_curves_have_a_line_per_run(frame: pd.DataFrame) -> None:
     assert_readable(figure)
 
 
-def test_the_best_planned_run_of_each_method_is_filmed(
+def test_the_man_ppo_and_twelve_cells_are_filmed_on_one_clock(
     frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     filmed: dict[str, RunRecord] = {}
-    notes: list[str] = []
-    clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
-    monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
-    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
-    monkeypatch.setattr(notebook, "note", notes.append)
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
-    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
-    assert list(filmed) == ["SILEM", f"PPO, {SHORT} iterations"]
+
+    def of_runs(runs: dict[str, RunRecord], duration_s: float, size: film.Size) -> dict:
+        filmed.update(runs)
+        return {label: film.Clip(np.zeros((2, *size[::-1], 3), np.uint8), 20.0) for label in runs}
+
+    shown: dict[str, film.Clip] = {}
+    monkeypatch.setattr(film, "of_runs", of_runs)
+    poses = lambda *_, size: film.Clip(np.zeros((3, *size[::-1], 3), np.uint8), 20.0)  # noqa: E731
+    monkeypatch.setattr(film, "motion", poses)
+    grid = film.grid
+    monkeypatch.setattr(
+        film, "grid", lambda clips, **look: shown.update(clips) or grid(clips, **look)
+    )
+    clip = walking.all_cells(frame, 0.5)
+    assert clip.duration_s == 0.5 and len(shown) == 16  # the man begins again
+    labels = [label.replace("\n", " ") for label in shown]
+    assert labels[0].startswith("the man")
+    assert labels[1] == f"PPO, {SHORT} iterations Humanoid"
+    assert labels[4:8] == ["SILEM Humanoid", *(f"{m} Humanoid: no run yet" for m in
+                           ("SILEM⁻", "TPIL", "Peng20"))]  # fmt: skip
+    assert labels[12] == f"SILEM, {SHORT} iterations Atlas"
     best = results.cell(frame, "silem", "Humanoid").nlargest(1, "return_mean")
-    assert filmed["SILEM"].run_id == best["run_id"].item()
-    assert notes == [
-        "Humanoid, best trials, in real time: a clip",
-        "No finished run on Humanoid yet: SILEM⁻; TPIL; Peng20.",
-    ]
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "no OpenGL")
-    notebook.play_trials(frame, walking.FILMED, "Humanoid", 0.1, best=True)
-    assert notes[-1] == "No videos of Humanoid: no OpenGL"
+    assert filmed["SILEM\nHumanoid"].run_id == best["run_id"].item()

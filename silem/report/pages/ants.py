@@ -19,7 +19,7 @@ from silem.report.transforms import feature_names
 from silem.study.settings import BUDGETS
 from silem.study.studies import seeds_of
 
-_FEWEST_BODIES, _NAMED = 3, 3  # that a rank correlation takes; entries that the sentence names
+_FEWEST_BODIES, _NAMED = 4, 3  # that a rank correlation takes; entries that the sentence names
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
 _COLUMNS = ("entry", "feature", "rho", "low", "high")
 SHARE, STANDING = "survival, of the expert's return", "standing"

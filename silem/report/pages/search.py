@@ -3,8 +3,6 @@
 `ranked` is what `silem.study.studies.ranking` tells of a search, the best configuration first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -98,26 +96,22 @@ def curse_says(ranked: Sequence[Ranked]) -> str:
 def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
     """Draw the score against each setting that was varied: configurations, and means by value."""
     varied = _varied(ranked) or {"": []}
-    n_columns = min(3, len(varied))
-    n_rows = -(-len(varied) // n_columns)
-    figure, grid = style.new_figure(
-        1.9 * n_rows + 0.4, nrows=n_rows, ncols=n_columns, sharey=True, squeeze=False
-    )
-    for axes in grid.flat[len(varied) :]:
-        axes.set_axis_off()
+    named = {
+        name: f"{name.replace('_', ' ')} ({_SYMBOLS[name]})" if name else title for name in varied
+    }
+    figure, grid = style.panels(named.values(), 1.9, 3, sharey=True)
     dots: dict[str, Any] = {"color": style.method("silem").color, "alpha": 0.45, "mec": "none"}
-    for axes, (name, values) in zip(grid.flat, varied.items(), strict=False):
+    for axes, (name, values) in zip(grid, varied.items(), strict=True):
         for x, value in enumerate(values):
             scores = [entry.score for entry in ranked if entry.settings[name] == value]
             axes.plot(np.full(len(scores), x), scores, "o", ms=4, **dots)
             axes.plot([x - 0.25, x + 0.25], [np.mean(scores)] * 2, color=style.INK, lw=1.6)
         axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         axes.set_xlim(-0.6, max(len(values), 1) - 0.4)
-        axes.set_title(f"{name.replace('_', ' ')} ({_SYMBOLS[name]})" if name else title)
         if not values:
             style.say(axes, "not run yet")
             axes.set_yticks([])
-    grid[0, 0].set_ylabel("true return")
-    grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
+    grid[0].set_ylabel("true return")
+    grid[0].yaxis.set_major_formatter("{x:,.0f}")
     note = "a dot is the mean over one's trials, a line that of all with the value"
-    return style.finish(figure, (), f"{title}: {len(ranked)} configurations; {note}")
+    return style.finish(figure, note=f"{title}: {len(ranked)} configurations; {note}")

@@ -48,6 +48,7 @@ MEASURES = {
 man's clip in its deviations, as they are and with both shifted to the same means: without that a
 body's shape counts as well."""
 
+_JOINED = ("step_hz", "stance_left", "stance_right")  # two of which share a column
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
 _SIZE = 320, 300  # pixels of a picture in the strip
@@ -107,17 +108,18 @@ def _measures(features: np.ndarray, rate_hz: float) -> dict[str, float]:
 
 
 def _man() -> pd.DataFrame:
-    """Return the man's own measures: in the clip shown, in his others, and if he only stood."""
-    man, others = published_motion(MAN), [published_motion(n) for n in CLIPS if n != MAN]
+    """Return the man's own measures: in the clip shown, in his others, and as a statue."""
+    man, others = published_motion(MAN), [published_motion(name) for name in CLIPS if name != MAN]
     still = np.repeat(man.features.mean(axis=0, keepdims=True), len(man.features), axis=0)
     rows = {
-        "as shown": man.speed_m_s, f"his {len(others)} other clips":
-        np.mean([other.speed_m_s for other in others]), "if he stood in his mean pose": 0.0,
+        "his clip": [man], f"his {len(others)} others": others,
+        "as a statue": [replace(man, features=still, qpos=man.qpos[[0] * len(still)])],
     }  # fmt: skip
-    table = pd.DataFrame({"method": rows.keys(), "speed_m_s": rows.values()})
-    means = [pd.DataFrame([_measures(m.features, m.rate_hz) for m in ms]).mean()
-             for ms in ([man], others, [replace(man, features=still)])]  # fmt: skip
-    return table.join(pd.DataFrame(means))
+    measures = {
+        name: [_measures(m.features, m.rate_hz) | {"speed_m_s": m.speed_m_s} for m in motions]
+        for name, motions in rows.items()
+    }
+    return pd.DataFrame({name: pd.DataFrame(found).mean() for name, found in measures.items()}).T
 
 
 def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd.DataFrame:
@@ -127,18 +129,22 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
     """
 
     def told(found: Any) -> dict[str, str]:
-        return {title: number(found[name], 2) for name, title in MEASURES.items()}
+        write = {name: number(found[name], 2) for name in MEASURES}
+        stance = f"{write.pop('stance_left')} / {write.pop('stance_right')}"
+        named = {MEASURES[name]: text for name, text in write.items()}
+        return named | {"stance, left / right": stance if found["step_hz"] else style.DASH}
 
+    man = _man()
     rows = [
-        {"body": "the man", "method": found["method"], "speed (m/s)": number(found["speed_m_s"], 2)}
+        {"body": "the man", "method": name, "speed (m/s)": number(found["speed_m_s"], 2)}
         | told(found)
-        for _, found in _man().iterrows()
+        for name, found in man.iterrows()
     ]
     for name, frame in groups.items():
         for found in gaits(frame).itertuples():
             row = {
                 "body": found.body,
-                "method": style.method(found.method, "").label,
+                "method": style.method(found.method, "").label.partition(",")[0],
                 "runs": name,
                 "iterations": number(found.n_iterations),
                 "trials": number(len(found.run_ids)),
@@ -148,11 +154,17 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
                 "gait": found.gait,
             }
             rows.append(row | told(measures.reindex(found.run_ids).mean()))
-    table = pd.DataFrame(rows + [{"body": "no run"}] * (len(rows) == len(_man())))
+    if len(rows) == len(man):
+        rows.append({"body": "no run"})
     order = ["body", "method", "runs", "iterations", "trials", "return", "steps survived",
-             "speed (m/s)", "gait", *MEASURES.values()]  # fmt: skip
+             "speed (m/s)", "gait", "steps per second", "stance, left / right"]  # fmt: skip
+    order += [title for name, title in MEASURES.items() if name not in _JOINED]
     left_out = {"runs"} if len(groups) == 1 else set()
-    return table.reindex(columns=[c for c in order if c not in left_out]).fillna(style.DASH)
+    return (
+        pd.DataFrame(rows)
+        .reindex(columns=[c for c in order if c not in left_out])
+        .fillna(style.DASH)
+    )
 
 
 def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
@@ -301,23 +313,20 @@ def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) 
 
 
 def search_table(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return, as text, what each setting of the rivals' search led to, in the plan's order."""
+    """Return, as text, what each setting of the rivals' search led to: return, steps survived."""
     study, budget = results.context(frame)
-    made, rows, (seed,) = frame.set_index("run_id"), [], seeds_of(study, BUDGETS[budget])
-    usual = {(c.method, c.body): c.overrides for c in cells("humanoids")}
+    made, (seed,) = frame.set_index("run_id"), seeds_of(study, BUDGETS[budget])
+    usual = {(c.method, c.body): len(c.overrides) for c in cells("humanoids")}
+    table: dict[str, dict[str, str]] = {}
     for cell in cells(study):
-        changed = [f"{n} {v}" for n, v in cell.overrides[len(usual[cell.method, cell.body]) :]]
+        changed = [f"{n} {v}" for n, v in cell.overrides[usual[cell.method, cell.body] :]]
         run = made.reindex([cell.config(budget, seed).run_id]).iloc[0]
-        rows.append(
-            {
-                "rival": style.method(cell.method, "").label,
-                "setting": ", ".join(changed) or "its own",
-                "return": number(run["return_mean"]),
-                "speed (m/s)": number(run["speed_m_s"], 2),
-                "steps survived": number(MAX_STEPS * run["upright"]),
-            }
-        )
-    return pd.DataFrame(rows)
+        told = f"{number(run['return_mean'])}, {number(MAX_STEPS * run['upright'])} steps"
+        row = table.setdefault(", ".join(changed) or "its own", {})
+        label = style.method(cell.method, "").label
+        row[label] = style.DASH if math.isnan(run["return_mean"]) else told
+    rows = [{"setting": setting} | row for setting, row in table.items()]
+    return pd.DataFrame(rows).fillna("not tried")
 
 
 def reversal() -> pd.DataFrame:
