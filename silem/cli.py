@@ -381,7 +381,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     config = record.run_config()
     policy, task, progress = load_policy(record), task_options(config), not options.quiet
     result = evaluate(policy, config.learner, options.episodes, progress=progress, **task)
-    _print_evaluation(record.run_id, result.to_dict())
+    _print_evaluation(record.run_id, result._asdict())
 
 
 @_takes(

@@ -13,6 +13,8 @@ from silem.util.errors import SilemError
 
 L2_FORMS = ("deviation", "plain")
 MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
+STILL = 1e-3  # a feature of the expert's that deviates less tells no gate anything
+GATE_SPREAD = 2.0  # two maps then differ by e^2.8 in their weights, one deviation from the mean
 CLIP = 5.0  # standard deviations that a normalised observation is cut at, ppo1's value
 _EPSILON = 1e-8
 
@@ -167,18 +169,26 @@ class AffineEnsemble(AffineTransform):
     """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w = softmax of a linear gate on g.
 
     All maps start as the identity, and so does f, whatever the gate says. What lets them part is
-    the gate's random first weights: each map counts in other states, and follows another gradient.
-    The gate learns from then on, for between equal maps its choice changes nothing.
+    the gate's first weights, random and large enough to choose: over the expert's states (N, F) a
+    logit has deviation `GATE_SPREAD` around 0, so each map counts in other states, and follows
+    another gradient. Maps that count alike everywhere would stay alike: of a gradient Adam follows
+    the sign. The gate learns once they differ; between equal maps its choice changes nothing.
     """
 
     shares: th.Tensor
 
-    def __init__(self, n_features: int, n_components: int) -> None:
+    def __init__(self, n_components: int, states: th.Tensor) -> None:
+        deviation, n_features = states.std(dim=0), states.shape[1]
         super().__init__(n_features)
         for name in ("scale", "offset"):
             start = getattr(self, name).detach()
             setattr(self, name, nn.Parameter(start.repeat(n_components, 1)))
         self.gate = nn.Linear(n_features, n_components)
+        moves = deviation > STILL
+        spread = GATE_SPREAD / moves.sum().sqrt() / deviation
+        with th.no_grad():
+            self.gate.weight.normal_().mul_(spread.where(moves, 0.0))
+            self.gate.bias.copy_(-self.gate.weight @ states.mean(dim=0))
         self.shares = nn.Buffer(th.full((n_components,), 1.0 / n_components))
 
     def forward(self, features: th.Tensor) -> th.Tensor:

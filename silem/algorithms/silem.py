@@ -121,7 +121,12 @@ class SILEM(GAIfO):
     def _setup_model(self) -> None:
         super()._setup_model()
         size, count = self.demonstrations.n_features, self.transform_components
-        transform = TRANSFORMS[self.transform](size) if count == 1 else AffineEnsemble(size, count)
+        if count == 1:
+            transform: th.nn.Module = TRANSFORMS[self.transform](size)
+        else:
+            transform = AffineEnsemble(
+                count, th.from_numpy(np.concatenate(self.demonstrations.features))
+            )
         self.transform_net, rate = transform.to(self.device), self.transform_learning_rate
         self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 

@@ -9,7 +9,7 @@ NumPy's calls, whose code the simulator has pushed out of the processor's caches
 import contextlib
 import math
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -56,18 +56,14 @@ class Client:
     """A PyBullet client that holds the floor and one body, read with the fewest calls.
 
     Everything is loaded and set in the order of PyBullet's own locomotion tasks, except that
-    overlapping pairs are always deterministic: without that, equal clients drift apart.
+    overlapping pairs are always deterministic: without that, equal clients drift apart. Raises
+    SilemError if PyBullet has no client left or cannot load the body.
 
     Attributes:
         client: PyBullet's number of the client.
         robot: PyBullet's number of the body within the client.
         joints: PyBullet's numbers of the actuated joints, in the order of the action.
         limits: Lower and upper limit of each of those joints in rad.
-        read: `read()` returns the present state.
-        advance: `advance(action)` applies (J,) shares of the motors' torques, clipped to -1..1,
-            for one control step.
-
-    Raises SilemError if PyBullet has no client left or cannot load the body.
     """
 
     def __init__(self, body: BulletBody) -> None:
@@ -76,27 +72,80 @@ class Client:
         if self.client < 0:
             raise SilemError("PyBullet has no client left; close environments that are not used")
         self.close = weakref.finalize(self, _disconnect, self.client)
-        self._load()
-        self.read = self._make_read()
-        self.advance = self._make_advance()
-        self._start_state = pybullet.saveState(physicsClientId=self.client)
+        client = self._of = {"physicsClientId": self.client}
+        pybullet.resetSimulation(**client)
+        pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, **client)
+        pybullet.setGravity(*(0.0 - _GRAVITY_M_S2 * part for part in body.up), **client)
+        pybullet.setDefaultContactERP(_CONTACT_ERP, **client)
+        step = {"fixedTimeStep": body.control_step_s, "numSubSteps": SUBSTEPS}
+        iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
+        pybullet.setPhysicsEngineParameter(**step, **iterations, **client)
+        floor = str(Path(pybullet_data.getDataPath()) / "plane_stadium.sdf")
+        (self._floor,) = pybullet.loadSDF(floor, **client)
+        surface = {"lateralFriction": _FLOOR_FRICTION, "restitution": _FLOOR_RESTITUTION}
+        pybullet.changeDynamics(self._floor, measure.BASE, **surface, **client)
+        self.robot = measure.load(body, self.client)
+        infos = measure.joint_infos(self.robot, self.client)
+        index = {info[1].decode(): number for number, info in enumerate(infos)}
+        self.joints = [index[motor.joint] for motor in body.motors]
+        self._movable = [*(index[name] for name in body.root_joints), *self.joints]
+        self.limits = [infos[joint][8:10] for joint in self.joints]
+        self._torques = [motor.torque_n_m for motor in body.motors]
+        for joint in range(len(infos)):
+            self._free(joint)
+        # what `read` looks at
+        link = self._links = measure.link_names(self.robot, self.client)
+        self._foot_of_link = {link[name]: foot for foot, name in enumerate(body.feet)}
+        self._has_base = link[body.root] == measure.BASE  # whose state is no link's
+        parts = body.parts[self._has_base :]
+        self._seen = list(dict.fromkeys(link[part.link] for part in parts))
+        self._picks = [(self._seen.index(link[p.link]), _FIELDS[p.point]) for p in parts]
+        self._start_state = pybullet.saveState(**client)
 
     def reset(self, angles: Sequence[float]) -> State:
         """Put the body back to its start pose with the given (J,) joint angles, at rest."""
-        client = {"physicsClientId": self.client}
-        pybullet.restoreState(self._start_state, **client)
+        pybullet.restoreState(self._start_state, **self._of)
         for joint, angle in zip(self.joints, angles, strict=True):
-            pybullet.resetJointState(self.robot, joint, angle, targetVelocity=0, **client)
+            pybullet.resetJointState(self.robot, joint, angle, targetVelocity=0, **self._of)
             self._free(joint)
         return self.read()
 
+    def advance(self, action: Sequence[float]) -> None:
+        """Apply (J,) shares of the motors' torques, clipped to -1..1, for one control step."""
+        forces = [
+            torque * (-1.0 if share < -1.0 else 1.0 if share > 1.0 else share)
+            for torque, share in zip(self._torques, action, strict=True)
+        ]
+        mode = pybullet.TORQUE_CONTROL
+        pybullet.setJointMotorControlArray(
+            self.robot, self.joints, mode, forces=forces, physicsClientId=self.client
+        )
+        pybullet.stepSimulation(self.client)
+
+    def read(self) -> State:
+        """Return the present state; runs after every step, hence arguments by place."""
+        robot, client, has_base = self.robot, self.client, self._has_base
+        states = pybullet.getLinkStates(robot, self._seen, not has_base, False, client)
+        places = [states[link][field] for link, field in self._picks]
+        if has_base:
+            position, quaternion = pybullet.getBasePositionAndOrientation(robot, client)
+            velocity, places = pybullet.getBaseVelocity(robot, client)[0], [position, *places]
+        else:
+            quaternion, velocity = states[0][1], states[0][6]
+        contact = [0.0] * len(self.body.feet)
+        for point in pybullet.getContactPoints(robot, self._floor, _ANY_LINK, _ANY_LINK, client):
+            if (foot := self._foot_of_link.get(point[3])) is not None:
+                contact[foot] = 1.0
+        hinges = pybullet.getJointStates(robot, self.joints, client)
+        rpy = pybullet.getEulerFromQuaternion(quaternion)
+        return State(hinges, rpy, velocity, places, contact)
+
     def place(self, link: str) -> tuple[_Numbers, _Numbers]:
         """Return the position in m and the quaternion, in the world, of a link's own frame."""
-        index, client = self._links[link], {"physicsClientId": self.client}
-        if index == measure.BASE:
-            position, quaternion = pybullet.getBasePositionAndOrientation(self.robot, **client)
+        if (index := self._links[link]) == measure.BASE:
+            position, quaternion = pybullet.getBasePositionAndOrientation(self.robot, **self._of)
             return position, quaternion
-        state = pybullet.getLinkState(self.robot, index, **client)
+        state = pybullet.getLinkState(self.robot, index, **self._of)
         return state[4], state[5]
 
     def qpos(self) -> np.ndarray:
@@ -105,85 +154,15 @@ class Client:
         if not self.body.root_joints:
             position, (*axis, w) = self.place(self.body.root)
             at = [*position, w, *axis]
-        states = pybullet.getJointStates(self.robot, self._movable, physicsClientId=self.client)
+        states = pybullet.getJointStates(self.robot, self._movable, **self._of)
         return np.array(at + [state[0] for state in states])
-
-    def _load(self) -> None:
-        client, base = {"physicsClientId": self.client}, measure.BASE
-        pybullet.resetSimulation(**client)
-        pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, **client)
-        gravity = [0.0 - _GRAVITY_M_S2 * part for part in self.body.up]
-        pybullet.setGravity(*gravity, **client)
-        pybullet.setDefaultContactERP(_CONTACT_ERP, **client)
-        step = {"fixedTimeStep": self.body.control_step_s, "numSubSteps": SUBSTEPS}
-        iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
-        pybullet.setPhysicsEngineParameter(**step, **iterations, **client)
-        floor = str(Path(pybullet_data.getDataPath()) / "plane_stadium.sdf")
-        (self._floor,) = pybullet.loadSDF(floor, **client)
-        surface = {"lateralFriction": _FLOOR_FRICTION, "restitution": _FLOOR_RESTITUTION}
-        pybullet.changeDynamics(self._floor, base, **surface, **client)
-        self.robot = measure.load(self.body, self.client)
-        infos = measure.joint_infos(self.robot, self.client)
-        index = {info[1].decode(): number for number, info in enumerate(infos)}
-        self._links = measure.link_names(self.robot, self.client)
-        self.joints = [index[motor.joint] for motor in self.body.motors]
-        self._movable = [*(index[name] for name in self.body.root_joints), *self.joints]
-        self.limits = [infos[joint][8:10] for joint in self.joints]
-        for joint in range(len(infos)):
-            self._free(joint)
 
     def _free(self, joint: int) -> None:
         """Take the force out of the motor that PyBullet puts on every joint."""
         zero = {"targetPosition": 0, "targetVelocity": 0, "force": 0}
-        gains = {"positionGain": 0.1, "velocityGain": 0.1, "physicsClientId": self.client}
-        mode = pybullet.POSITION_CONTROL
-        pybullet.setJointMotorControl2(self.robot, joint, controlMode=mode, **zero, **gains)
-
-    def _make_advance(self) -> Callable[[Sequence[float]], None]:
-        client, robot, joints = self.client, self.robot, self.joints
-        control, simulate = pybullet.setJointMotorControlArray, pybullet.stepSimulation
-        mode = pybullet.TORQUE_CONTROL
-        strengths = [motor.torque_n_m for motor in self.body.motors]
-
-        def advance(action: Sequence[float]) -> None:
-            forces = [
-                strength * (-1.0 if share < -1.0 else 1.0 if share > 1.0 else share)
-                for strength, share in zip(strengths, action, strict=True)
-            ]
-            control(robot, joints, mode, forces=forces, physicsClientId=client)
-            simulate(client)
-
-        return advance
-
-    def _make_read(self) -> Callable[[], State]:
-        """Return what runs after every step: local names and arguments by place keep it fast."""
-        client, robot, floor, joints = self.client, self.robot, self._floor, self.joints
-        joint_states, contact_points = pybullet.getJointStates, pybullet.getContactPoints
-        link_states, euler = pybullet.getLinkStates, pybullet.getEulerFromQuaternion
-        base_pose, base_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
-        foot_of_link = {self._links[name]: foot for foot, name in enumerate(self.body.feet)}
-        no_contact = [0.0] * len(self.body.feet)
-        has_base = self._links[self.body.root] == measure.BASE  # whose state is no link's
-        parts = self.body.parts[has_base:]
-        links = list(dict.fromkeys(self._links[part.link] for part in parts))
-        picks = [(links.index(self._links[part.link]), _FIELDS[part.point]) for part in parts]
-
-        def read() -> State:
-            states = link_states(robot, links, not has_base, False, client)
-            places = [states[link][field] for link, field in picks]
-            if has_base:
-                position, quaternion = base_pose(robot, client)
-                velocity, places = base_velocity(robot, client)[0], [position, *places]
-            else:
-                quaternion, velocity = states[0][1], states[0][6]
-            contact = no_contact.copy()
-            for point in contact_points(robot, floor, _ANY_LINK, _ANY_LINK, client):
-                if (foot := foot_of_link.get(point[3])) is not None:
-                    contact[foot] = 1.0
-            hinges = joint_states(robot, joints, client)
-            return State(hinges, euler(quaternion), velocity, places, contact)
-
-        return read
+        gains, mode = {"positionGain": 0.1, "velocityGain": 0.1}, pybullet.POSITION_CONTROL
+        control = {"controlMode": mode, **zero, **gains, **self._of}
+        pybullet.setJointMotorControl2(self.robot, joint, **control)
 
 
 def _disconnect(client: int) -> None:

@@ -50,7 +50,6 @@ class Reading(NamedTuple):
         points: Landmarks in the world in m, (E, P, 3).
         torso_axes: Forward, left and up of the torso in the world, as rows, (E, 3, 3).
         com_velocity: Of the centre of mass, in the world in m/s, (E, 3).
-        up: The vertical in the world, which is the floor's; None is z.
     """
 
     qpos: np.ndarray
@@ -58,16 +57,15 @@ class Reading(NamedTuple):
     points: np.ndarray
     torso_axes: np.ndarray
     com_velocity: np.ndarray
-    up: tuple[float, float, float] | None = None
 
     @property
     def head_m(self) -> np.ndarray:
         """Height of the head, (E,)."""
         return self.points[:, _HEAD, 2]
 
-    def features(self) -> np.ndarray:
-        """Return the skeletal features (E, F), float32."""
-        return skeletal_features(self.points, self.torso_axes, self.com_velocity, self.up)
+    def features(self, up: tuple[float, float, float] | None = None) -> np.ndarray:
+        """Return the skeletal features (E, F), float32; `up` is the vertical if it is not z."""
+        return skeletal_features(self.points, self.torso_axes, self.com_velocity, up)
 
 
 class Simulation(base.Simulation):
@@ -150,7 +148,6 @@ class Simulation(base.Simulation):
             self._places[indices].take(self._landmarks.ids, 1),
             self._landmarks.oriented(self._torso[indices]),
             self._com_velocity[indices].copy(),
-            self.body.up if self.body.slope_deg else None,
         )
 
     def data(self, index: int = 0) -> mujoco.MjData:
@@ -165,7 +162,7 @@ class Simulation(base.Simulation):
         states = [start_state(chance, self._bodies[i], self._starts) for chance, i in pairs]
         self.place(indices, *map(np.array, zip(*states, strict=True)))
         self._start_xy[indices] = self.qpos[indices, :2]
-        return _observed(self.read(indices))
+        return self._observed(self.read(indices))
 
     def step(self, actions: np.ndarray) -> base.Stepped:
         """Step all bodies."""
@@ -176,8 +173,13 @@ class Simulation(base.Simulation):
         fallen = reading.head_m < self.body.fall_head_m
         if failed is not self._none:
             earned[failed], fallen[failed] = 0.0, True
-        observations, infos = _observed(reading)
+        observations, infos = self._observed(reading)
         return observations, earned, fallen, infos
+
+    def _observed(self, reading: Reading) -> tuple[np.ndarray, base.Infos]:
+        """Return observations (E, O) and infos."""
+        features = reading.features(self.body.up if self.body.slope_deg else None)
+        return observe(reading, features), [{base.INFO_KEY: row} for row in features]
 
     def summary(self, index: int, n_steps: int, max_steps: int) -> dict[str, float]:
         """Sum up an episode."""
@@ -229,12 +231,6 @@ def start_state(
     qpos = np.array(body.standing_pose)
     qpos[7:] += generator.uniform(-JOINT_NOISE_RAD, JOINT_NOISE_RAD, len(qpos) - 7)
     return qpos, generator.uniform(-VELOCITY_NOISE, VELOCITY_NOISE, len(qpos) - 1)
-
-
-def _observed(reading: Reading) -> tuple[np.ndarray, base.Infos]:
-    """Return observations (E, O) and infos."""
-    features = reading.features()
-    return observe(reading, features), [{"skeletal_features": row} for row in features]
 
 
 def observe(reading: Reading, features: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 from silem.motion.features import FEATURES
 from silem.util.errors import SilemError
 
-MIN_SWING_M = 0.1  #: a foot that moves less far to and fro makes no step
+MIN_SWING_M = 0.1  #: a foot that moves less far back and forth makes no step
 PIECE_S = 1.0  #: length of the pieces that `distance` compares, about a man's stride
 _NAMES = [feature.name for feature in FEATURES]
 _FEET = [[_NAMES.index(f"{side}_foot_{axis}") for axis in "xyz"] for side in ("left", "right")]

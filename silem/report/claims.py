@@ -11,6 +11,7 @@ holds the variance of the demonstrator: all imitators of a study learn from the 
 
 import math
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -240,35 +241,47 @@ _LEVELS = {
 def _claims(study: str) -> tuple[Claim, ...]:
     """Read a study's claims, body by body."""
     names = list(dict.fromkeys(cell.body for cell in cells(study)))
-    return tuple(_claim(entry, b) for entry in _DATA[study] for b in entry.get("bodies", names))
+    return tuple(
+        _claim(body, **{name: value for name, value in entry.items() if name != "bodies"})
+        for entry in _DATA[study]
+        for body in entry.get("bodies", names)
+    )
 
 
-def _claim(entry: dict[str, Any], body: str) -> Claim:
-    """Read a claim about one body."""
+def _claim(
+    body: str,
+    title: str,
+    where: str,
+    measures: Sequence[dict[str, Any]],
+    printed: Sequence[str] = (),
+    moves: Sequence[str] = (),
+    either: bool = False,
+) -> Claim:
+    """Read a claim about one body; a word that is none of the file's is an error."""
 
     def cell(text: str) -> Cell:
         method, _, other = text.partition("@")
         return method, other or body
 
-    def bound(given: Any, otherwise: float) -> float:
+    def bound(given: Any) -> float:
         factor, level = given if isinstance(given, list) else (1.0, given)
         if isinstance(level, str):
             level = math.radians(bodies.get(body).slope_deg) if level == "angle" else _LEVELS[level]
-        return otherwise if level is None else factor * level
+        return float(factor * level)
 
-    def measure(column: str, near: str = "", **given: Any) -> Measure:
-        others = {name: cell(given[name]) for name in ("less", "per") if name in given}
-        lower, upper = bound(given.get("lower"), -math.inf), bound(given.get("upper"), math.inf)
+    def measure(
+        of: str, column: str, near: str = "", lower: Any = -math.inf, upper: Any = math.inf,
+        **others: str,
+    ) -> Measure:  # fmt: skip
         if near:
-            lower, upper = printed[0] - _LEVELS[near], printed[0] + _LEVELS[near]
-        return Measure(cell(given["of"]), column, lower=lower, upper=upper, **others)
+            lower, upper = numbers[0] - _LEVELS[near], numbers[0] + _LEVELS[near]
+        compared: Any = {name: cell(other) for name, other in others.items()}
+        return Measure(cell(of), column, lower=bound(lower), upper=bound(upper), **compared)
 
-    printed = [_printed(name) for name in entry.get("printed", ())]
-    moves = tuple(map(cell, entry.get("moves", ())))
-    return Claim(
-        entry["title"], body, entry["where"], tuple(measure(**m) for m in entry["measures"]),
-        entry.get("either", False), printed[0] - sum(printed[1:]) if printed else None, moves,
-    )  # fmt: skip
+    numbers = [_printed(name) for name in printed]
+    told = numbers[0] - sum(numbers[1:]) if numbers else None
+    found = tuple(measure(**entry) for entry in measures)
+    return Claim(title, body, where, found, either, told, tuple(map(cell, moves)))
 
 
 def _printed(name: str) -> float:

@@ -172,25 +172,21 @@ def play_trials(
 ) -> None:
     """Film the first trial of each method on a body, from one start and side by side.
 
-    Its seed was fixed before any run was made. A run of another number of iterations than planned
-    only counts where there is no planned one. What cannot be filmed is named instead; whoever falls
-    stands still from then on.
+    Its seed was fixed before any run was made. What cannot be filmed is named instead; whoever
+    falls stands still from then on.
     """
     if why := why_no_pictures(body):
         return note(f"No videos of {body}: {why}")
     chosen, absent = {}, []
+    first = records[records["body"].eq(body) & records["seed"].eq(TRIAL_SEEDS[0])]
     for method in methods:
-        look = style.method(method, results.original_body(records))
-        label = look.label.partition(",")[0]
-        groups = [find(records, method, body) for find in (results.cell, results.stand_ins)]
-        groups = [runs[runs["seed"] == TRIAL_SEEDS[0]] for runs in groups]
-        runs = next((runs for runs in groups if len(runs)), None)
-        if runs is None:
+        label = style.method(method, results.original_body(records)).label.partition(",")[0]
+        runs = first[first["method"] == method]
+        if runs.empty:
             absent.append(label)
-        else:
-            run = runs.iloc[0]
-            label += f", {run['n_iterations']:,} iterations" if run["stand_in"] else ""
-            chosen[label] = results.find(run["run_id"])
+        for run in runs.itertuples():
+            label += f", {run.n_iterations:,} iterations" if run.stand_in else ""
+            chosen[label] = results.find(run.run_id)
     if chosen:
         clips = films.of_runs(chosen, duration_s)
         play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")

@@ -76,6 +76,9 @@ def ensembles(frame: pd.DataFrame) -> Styler:
             runs = results.cell(frame[frame["count"].eq(count)], method, body)
             row = {"body": body, "f": "MLP" if "mlp" in method else f"affine, K = {count}"}
             row |= {"trials": style.trials(len(runs))}
+            maps = [results.load_transform(run)["scale"] for run in runs["run_id"] if count > 1]
+            apart = [100 * maps.std(axis=0).mean() / abs(maps - 1).mean() for maps in maps]
+            row["maps apart"] = _mean(apart, unit=" %")
             for name, column in (("reward of D", "disc_reward"), ("return", "return_mean")):
                 row[name] = _mean(runs[column], spread=True)
             rows.append(row | {"speed (m/s)": _mean(runs["speed_m_s"], 2)})

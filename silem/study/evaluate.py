@@ -98,10 +98,6 @@ class Evaluation(NamedTuple):
     steps_mean: float | None  # of an episode
     disc_reward_mean: float | None  # per episode; None where there is no discriminator
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the evaluation as plain JSON types."""
-        return self._asdict()
-
 
 def episodes(
     policy: Policy,

@@ -42,7 +42,7 @@ class RunRecord:
     run_id: str  #: its name, which ends in a hash of its configuration
     status: str  #: ``"finished"``
     config: dict[str, Any]  #: `RunConfig.to_dict`
-    evaluation: dict[str, Any]  #: `silem.study.evaluate.Evaluation.to_dict`
+    evaluation: dict[str, Any]  #: a `silem.study.evaluate.Evaluation`
     training: dict[str, Any]  #: ``n_steps``, ``steps_per_s``, ``disc_reward_last`` of an episode
     provenance: dict[str, Any]  #: of the last session, and ``earlier_commits`` of those before
     demonstrations_sha256: str | None  #: of their file; None where none were used

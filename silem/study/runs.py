@@ -247,7 +247,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         run_id=config.run_id,
         status="finished",
         config=config.to_dict(),
-        evaluation=result.to_dict(),
+        evaluation=result._asdict(),
         training=training,
         provenance=source,
         demonstrations_sha256=sha,

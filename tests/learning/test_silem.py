@@ -14,6 +14,7 @@ from stable_baselines3.common.logger import configure
 
 from silem import SILEM, Demonstrations, GAIfO, SilemError
 from silem.algorithms.networks import (
+    GATE_SPREAD,
     TRANSFORMS,
     AffineEnsemble,
     AffineTransform,
@@ -62,7 +63,7 @@ def test_affine_acts_state_by_state(rng: np.random.Generator) -> None:
 
 def ensemble(n_features: int = 2, n_components: int = 2) -> AffineEnsemble:
     """Two maps, of which the gate gives the first w = 3/4 where g_1 = ln 3, 1/2 where it is 0."""
-    made = AffineEnsemble(n_features, n_components)
+    made = AffineEnsemble(n_components, th.randn(50, n_features))
     with th.no_grad():
         made.gate.weight.zero_()
         made.gate.bias.zero_()
@@ -97,6 +98,17 @@ def test_an_ensemble_starts_as_the_identity_and_its_maps_part(rng: np.random.Gen
     assert made.scale.detach().std(dim=0).min() > 1e-4  # equal maps would never part
     assert not th.allclose(made.shares, th.full((4,), 0.25), atol=1e-3)
     assert l2_penalty(made, 10.0, 4.0).item() > 0.0
+
+
+def test_a_gate_chooses_among_the_experts_states_and_ignores_what_stands_still() -> None:
+    states = th.randn(4000, 6) * th.tensor([1.0, 0.1, 10.0, 1.0, 1.0, 1e-9]) + 3.0
+    gates = [AffineEnsemble(8, states).gate for _ in range(20)]
+    logits = th.stack([gate(states) for gate in gates]).detach()
+    assert logits.mean().abs() < 1e-3
+    assert logits.std().item() == pytest.approx(GATE_SPREAD, rel=0.15)
+    assert all((gate.weight[:, 5] == 0).all() for gate in gates)
+    weights = AffineEnsemble(4, states).weights(states)
+    assert weights.max(dim=1).values.mean() > 0.6  # of four maps that were alike: 0.25
 
 
 def test_without_its_gate_an_ensembles_maps_never_part(rng: np.random.Generator) -> None:

@@ -82,8 +82,7 @@ def test_walking(execute: Execute) -> None:
     }.items():  # fmt: skip
         assert said_there in words(output(page, cell_id)), cell_id
     film = output(page, "film")
-    caption = "The man, PPO, and the paper's twelve cells, on one clock"
-    assert caption in words(film)
+    assert "twelve cells, on one clock" in words(film)
     assert film.count("data:video/mp4;base64,") == (not why_no_pictures("Humanoid"))
 
 

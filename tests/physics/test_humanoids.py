@@ -170,7 +170,7 @@ def test_observations_are_those_of_the_present_states_also_after_falls():
         n_falls += dones.sum()
     assert n_falls >= 3
     chosen = env.simulation.read(np.array([2, 0]))
-    for part, whole in zip(chosen, env.simulation.read(), strict=True):
+    for part, whole in zip(chosen[:-1], env.simulation.read()[:-1], strict=True):  # arrays
         np.testing.assert_array_equal(part, whole[[2, 0]])
     assert not np.array_equal(chosen.qpos[0], chosen.qpos[1])
 
@@ -179,9 +179,9 @@ def test_a_reading_does_not_change_when_the_simulation_goes_on():
     env = make_vec("Humanoid", 2)
     env.reset()
     reading = env.simulation.read()
-    kept = [part.copy() for part in reading]
+    kept = [part.copy() for part in reading[:-1]]  # arrays, and the vertical, which is fixed
     env.step(actions(1, 2)[0])
-    for part, before in zip(reading, kept, strict=True):
+    for part, before in zip(reading[:-1], kept, strict=True):
         np.testing.assert_array_equal(part, before)
     assert not np.array_equal(env.simulation.read().qpos, reading.qpos)
 
@@ -278,7 +278,7 @@ def test_bad_input_is_refused():
         env.step(np.zeros((2, 20)))
     with pytest.raises(SilemError, match="NaN"):
         env.step(np.full((2, 21), np.nan))
-    with pytest.raises(SilemError, match="n_threads must be a whole number from 1, not 0"):
+    with pytest.raises(SilemError, match="n_threads must be a whole number from 1 to"):
         make_vec("Humanoid", n_threads=0)
     for make in (make_vec, SingleEnv):
         with pytest.raises(SilemError, match="speed_m_s must be a finite number above 0, not 0"):

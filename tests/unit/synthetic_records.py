@@ -172,7 +172,8 @@ def _runner_transform(config: RunConfig, rng: np.random.Generator) -> dict[str, 
         arrays["A"][3] += 0.1 * longer
     count = config.hyper.transform_components
     if count > 1:  # an ensemble's maps and gate, which no figure reads
-        maps = dict.fromkeys(("scale", "offset", "gate.weight"), np.ones((count, n)))
+        several = 1 + 0.1 * rng.normal(size=(count, n))
+        maps = dict.fromkeys(("scale", "offset", "gate.weight"), several)
         arrays |= maps | dict.fromkeys(("gate.bias", "shares"), np.ones(count))
     return arrays
 

@@ -58,7 +58,10 @@ def verdict(frame: pd.DataFrame, text: str) -> str:
 @pytest.mark.parametrize("name", FIGURES)
 @pytest.mark.parametrize("frame", ["partial", "empty"], indirect=True)
 def test_seven_bodies_fit_into_a_figure(name: str, frame: pd.DataFrame) -> None:
-    assert_readable(FIGURES[name](frame))
+    figure = FIGURES[name](frame)
+    assert_readable(figure)
+    if name == "learning_curves":
+        assert "steps before a fall" in texts(figure)
 
 
 def test_figure_2d_shows_scores_speeds_and_steps(frame: pd.DataFrame) -> None:

@@ -174,7 +174,7 @@ def test_figure_4_shows_the_best_policies(
 def test_a_run_of_another_length_is_crosses_in_figure_4(frame: pd.DataFrame) -> None:
     figure = transforms.by_feature(arms(frame))
     drawn = lines_at(figure.axes[0], style.body_color(1, 2))
-    assert drawn and {line.get_marker() for line in drawn} == {"x"}
+    assert drawn and {line.get_marker() for line in drawn} == {"x", "|"}
     (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
     assert label == f"HumanoidR, no run; ×: {MOST:,} iterations"
 
@@ -259,6 +259,37 @@ def test_scorecard_judges_figures_3_and_4(frame: pd.DataFrame) -> None:
     assert finding.trials == {"TPIL Atlas": 3, "TPIL Humanoid": 3}
     assert (finding.wins, row["verdict"]) == (1.0, claims.HOLDS)
     assert "100 % of pairs" in claims.table(frame).to_html()
+
+
+def test_limbs_expect_of_a_what_their_lengths_say() -> None:
+    """The walk that is retargeted puts a hand of HumanoidR half or one and a half times as far."""
+    names = [feature.name for feature in FEATURES]
+    of = {body: dict(zip(names, transforms.expected(body), strict=True)) for body in
+          ("Humanoid", "HumanoidR")}  # fmt: skip
+    uneven, even = of["HumanoidR"], of["Humanoid"]
+    assert uneven["left_hand_x"] == uneven["left_hand_z"] > 1 > even["left_hand_x"]
+    assert even["right_hand_y"] > uneven["right_hand_y"]
+    assert uneven["left_foot_x"] == pytest.approx(even["left_foot_x"], abs=1e-3)
+    others = [name for name in names if "hand" not in name and "foot" not in name]
+    assert np.isnan([even[name] for name in others]).all() and len(others) == 11
+    assert np.isnan(transforms.expected("HC0")).all()
+
+
+def test_a_that_is_as_expected_is_in_full_agreement(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def learned(run_id: str) -> dict[str, np.ndarray]:
+        hoped = np.nan_to_num(transforms.expected(run_id.split("_")[1]), nan=5.0)
+        return {"A": 1 + sign * (hoped - 1), "b": hoped}
+
+    monkeypatch.setattr(results, "load_transform", learned)
+    for sign, rho in ((1, "1.00"), (-1, "−1.00")):
+        table = transforms.agreement(frame).set_index("body")
+        assert all(text.startswith(f"{rho} [") for text in table["rank correlation"])
+        cells = table.loc["HumanoidR", ["left hand", "right hand"]]
+        assert all(len(set(text.split(" → "))) == 1 + (sign < 0) for text in cells)
+    empty = transforms.agreement(results.load_records("humanoids", "paper"))
+    assert (empty["rank correlation"] == style.DASH).all() and set(empty["policies"]) == {"0"}
 
 
 def test_arm_claims_fail_where_the_arms_are_the_other_way_round(

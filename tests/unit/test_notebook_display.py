@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
+import synthetic_records as synthetic
 
-from silem.report import notebook
+from silem.report import film, notebook, results
+from silem.study.record import RunRecord
+from silem.study.studies import study_configs
 
 
 def cells(frame: pd.DataFrame, digits: int | None = None) -> list[list[str]]:
@@ -54,3 +60,34 @@ def test_sentences_get_numbers_in_words(
     )
     notebook.say(number=value)
     assert said == {"number": (words, False)}
+
+
+def test_the_first_trial_of_each_method_is_filmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    plans = {c.method: c for c in study_configs("humanoids", "book", 1) if c.body == "Humanoid"}
+    plan, ppo = plans["silem"], plans["ppo"]
+    for seed, level in enumerate((840.0, 870.0)):
+        first = synthetic.write_record(dataclasses.replace(plan, seed=seed), level)
+    shorter = dataclasses.replace(ppo, budget=ppo.budget.with_iterations(250))
+    synthetic.write_record(shorter, 300.0)
+    frame = results.load_records("humanoids", "book")
+    methods = ("silem", "silem-minus", "ppo")
+    filmed: dict[str, RunRecord] = {}
+    notes: list[str] = []
+    clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
+    monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
+    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
+    monkeypatch.setattr(notebook, "note", notes.append)
+    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
+    notebook.play_trials(frame, methods, "Humanoid", 0.1)
+    assert list(filmed) == ["SILEM", "PPO, 250 iterations"]
+    assert filmed["SILEM"].run_id == plan.run_id != first.run_id  # not the best
+    assert notes == [
+        "Humanoid, first trials, in real time: a clip",
+        "No finished run on Humanoid yet: SILEM⁻.",
+    ]
+    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "no OpenGL")
+    notebook.play_trials(frame, methods, "Humanoid", 0.1)
+    assert notes[-1] == "No videos of Humanoid: no OpenGL"

@@ -14,7 +14,7 @@ from silem import bodies
 from silem.report import claims, results, tables
 from silem.report.pages import beyond as page
 from silem.report.transforms import feature_names
-from silem.study.studies import TORSOS, study_configs
+from silem.study.studies import SLOPES_DEG, TORSOS, study_configs
 from silem.util import files
 
 LENGTHS = {body: bodies.get(body).length[1] for body in ("HC0", *TORSOS)}
@@ -98,6 +98,8 @@ def test_ensembles_are_told_apart_by_their_maps(data: Path) -> None:
     assert (
         trials["HC0", "affine, K = 4"] == "2 trials" and trials["Ant6", "affine, K = 4"] == "no run"
     )
+    apart = found.set_index(["body", "f"])["maps apart"]
+    assert apart["HC0", "affine, K = 1"] == "–" and apart["HC0", "affine, K = 4"].endswith("%")
     means = found.set_index(["body", "f"])["return"].str.partition("<")[0]
     for count in (2, 4, 8):
         assert float(means["HC0", f"affine, K = {count}"]) == pytest.approx(100 * count, abs=10)
@@ -116,6 +118,8 @@ def test_an_offset_of_pitch_has_to_be_the_angle(data: Path, share: float, verdic
             record.files["transform.npz"] = sha
             record.save(record.folder)
     found = claims.evaluate(results.load_records("slope")).set_index("text")["verdict"]
+    judged = {claim.body for claim in claims.of("slope")}
+    assert judged == {f"{b}-slope-{deg:g}" for b in ("HC0", "Ant0") for deg in SLOPES_DEG}
     told = found[found.index.str.endswith("HC0-slope-10")]
     assert list(told) == [claims.HOLDS, verdict]  # the returns' and the offset's
     assert (found.drop(told.index) == claims.UNDECIDED).all()

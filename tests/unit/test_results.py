@@ -150,6 +150,11 @@ def test_selecting_narrows_runs_and_missing_runs_alike(frame: pd.DataFrame) -> N
     assert "6 runs, 4 of the planned runs not made yet" in results.describe(narrowed)
 
 
+def test_what_a_table_carries_along_is_not_copied_by_pandas(frame: pd.DataFrame) -> None:
+    assert frame[frame["seed"] > 0].attrs["missing"] is frame.attrs["missing"]
+    assert results.select(frame, ("ppo",)).attrs["set_aside"] is frame.attrs["set_aside"]
+
+
 def test_curves_and_transforms_load_by_run_id(data: Path) -> None:
     record = synthetic.write_record(RunConfig.create("HC1", "silem", budget="book"))
     curve = results.load_curve(record.run_id)

@@ -251,6 +251,27 @@ def test_the_papers_loss_has_columns_of_its_own(frame: pd.DataFrame) -> None:
     assert "too few" not in "".join(ours)
 
 
+def test_the_gap_appears_under_the_losses_where_silem_beats_its_ablation(
+    frame: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, papers = "this book's loss", "the paper's loss"
+    told = claims.gap(frame).set_index("body")["the gap appears under"]
+    assert told["HC1"] == f"{ours} and {papers}" and told["HC2"] == "open: too few trials"
+    other = results.paper_loss(frame)
+
+    def without(runs: pd.DataFrame) -> pd.DataFrame:
+        equal = runs.assign(return_mean=runs["return_mean"].where(runs["method"] != "silem", 0.0))
+        equal.attrs = runs.attrs
+        return equal
+
+    for here, there, answer in (
+        (frame, without(other), ours), (without(frame), other, papers),
+        (without(frame), without(other), "neither"),
+    ):  # fmt: skip
+        monkeypatch.setattr(results, "paper_loss", lambda _, there=there: there)
+        assert claims.gap(here).set_index("body")["the gap appears under"]["HC1"] == answer
+
+
 def test_claims_are_compared_with_what_the_paper_prints() -> None:
     printed = {claim.text: claim.printed for claim in claims.of("halfcheetah") if claim.printed}
     rows = {row["f"]: row for row in paper.table("tab1").rows}

@@ -235,6 +235,25 @@ def test_evidence_names_commits_of_the_history(
     verify.check_source(synthetic.write_record(smaller))  # no evidence
 
 
+@pytest.mark.parametrize("name", ["scale", "gate.bias", "shares", None])
+def test_an_ensemble_without_one_of_its_parts_is_told(
+    name: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
+    config = RunConfig.create("HC0", "silem", budget="book", transform_components=4)
+    record = synthetic.write_record(config, 900.0)
+    path = record.folder / TRANSFORM
+    arrays = files.read_npz(path)
+    if name:
+        arrays[name] = arrays[name][:3]
+        files.write_npz(path, arrays)
+        rewrite(record.folder, put("files", TRANSFORM, to=files.sha256(path)))
+        with pytest.raises(SilemError, match=r"expected: A and b, \(F,\) each, 4 map\(s\)"):
+            verify.check(record.folder)
+    else:
+        verify.check(record.folder)
+
+
 def test_a_transform_of_other_width_than_the_demonstrations_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
