@@ -97,7 +97,7 @@ class GAIfO(PPO):
         disc_learning_rate: float = 1e-3,
         disc_hidden: Sequence[int] = (128, 128, 128),
         disc_entropy_coef: float = 1e-3,
-        gradient_penalty: float = 1.0,
+        gradient_penalty: float = 0.1,
         reward: str = "d",
         absorbing_states: bool | Sequence[bool] = False,
         **kwargs: Any,

@@ -63,7 +63,7 @@ class SILEM(GAIfO):
         transform: str = "affine",
         transform_components: int = 1,
         n_transform_updates: int = 5,
-        transform_learning_rate: float = 1e-4,
+        transform_learning_rate: float = 1e-5,
         transform_lr_decay: float = 1.0,
         transform_l2_scale: float = 0.0,
         transform_l2_bias: float = 0.0,

@@ -60,6 +60,7 @@ _PPO = paper.common("halfcheetah")  # the supplement's common settings for the P
 _BEST = paper.best_combination("HC0", "silem", "HC0")
 _COMMON, _TEXT = "supplement, common settings for PPO", "supplement, text"
 _ROW = "supplement, SILEM's best combination for HC0"
+_FOUND = "open: the search on HC1 and HC2"
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,9 @@ class HyperParameters:
         _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, kind=FACTOR
     )
     disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
-    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-4)
+    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", kind=WEIGHT)
-    gradient_penalty: float = _used_by(IMITATORS, 1.0, kind=WEIGHT)  # 0 switches it off
+    gradient_penalty: float = _used_by(IMITATORS, 0.1, _FOUND, kind=WEIGHT)  # 0 switches it off
     transform_components: int = _used_by(  # K; more than one are an ensemble
         ("silem",), 1, optional=True
     )

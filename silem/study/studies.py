@@ -272,10 +272,18 @@ _SEARCHED: tuple[tuple[str, Settings], ...] = (
     *(("silem", (_RATE_1, _PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
     *(("silem-minus", (_PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
 )
+SEARCHED_FROM: dict[str, dict[str, Any]] = {
+    "silem": {"transform_learning_rate": 1e-4, "gradient_penalty": 1.0},
+    "silem-minus": {"gradient_penalty": 1.0},
+}
+"""What was in use when the search began, by method; what it chose is in use since."""
 _define(
     "open-settings",
     "what the paper leaves open, on HC1 and HC2",
-    *((method, ("HC1", "HC2"), "HC0", overrides) for method, overrides in _SEARCHED),
+    *(
+        (method, ("HC1", "HC2"), "HC0", tuple((SEARCHED_FROM[method] | dict(overrides)).items()))
+        for method, overrides in _SEARCHED
+    ),
     seeds=SEARCH_SEEDS[:1],
 )
 

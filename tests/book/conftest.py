@@ -16,20 +16,26 @@ from silem.util.paths import REPO
 
 
 @pytest.fixture(scope="session")
-def html() -> Path:
+def html(testrun_uid: str) -> Path:
     """The pages of the book: those of `make book` if they are up to date, else built here.
 
-    Here the notebooks run with their own defaults, once for all workers.
+    Here the notebooks run with their own defaults, once for all workers: a record that a campaign
+    publishes meanwhile must not have one worker rebuild what another one reads.
     """
-    if pages := build.current():
-        return pages
     root = REPO / "_build" / "tests"
     root.mkdir(parents=True, exist_ok=True)
+    chosen = root / "pages.json"
     with files.lock(root / "tests.lock", wait_s=float("inf")):
+        known = files.read_json(chosen) if chosen.exists() else {}
+        if known.get("run") == testrun_uid:
+            return Path(known["pages"])
         try:
-            return build.current(root) or build.build(n_workers=2, root=root, parameters={})
+            pages = build.current() or build.current(root)
+            pages = pages or build.build(n_workers=2, root=root, parameters={})
         except SilemError as error:
             pytest.fail(f"the book cannot be built: {error}", pytrace=False)
+        files.write_json(chosen, {"run": testrun_uid, "pages": str(pages)})
+        return pages
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ from silem.report.style import number
 from silem.study.config import RunConfig
 from silem.study.record import TRANSFORM
 from silem.study.settings import BUDGETS, HyperParameters
-from silem.study.studies import cells, seeds_of
+from silem.study.studies import SEARCHED_FROM, cells, seeds_of
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -48,9 +48,9 @@ _NAMES = {
 def settings(frame: pd.DataFrame) -> pd.DataFrame:
     """Return what the search tried, a row for each method and setting, in the plan's order.
 
-    Columns are ``method``, ``setting`` (in words), ``in_use`` (it is what the study has now), a
-    body's mean score each, ``score`` (their mean, NaN while a body's run is missing) and ``near``
-    (within `NEAR_BEST` of the method's best).
+    Columns are ``method``, ``setting`` (in words), ``first`` (the search began from it), ``in_use``
+    (it is what the study has now), a body's mean score each, ``score`` (their mean, NaN while a
+    body's run is missing) and ``near`` (within `NEAR_BEST` of the method's best).
     """
     study, budget = results.context(frame)
     score = frame.set_index("run_id")["normalised"]
@@ -60,6 +60,7 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
         usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
         setting = ", ".join(f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in cell.overrides)
         about = {"method": cell.method, "setting": setting, "in_use": configs[0].hyper == usual}
+        about["first"] = dict(cell.overrides) == SEARCHED_FROM[cell.method]
         row = rows.setdefault((cell.method, setting), about)
         row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
     table = pd.DataFrame(rows.values())
@@ -88,7 +89,7 @@ def found(frame: pd.DataFrame) -> Styler:
 
 
 def says(frame: pd.DataFrame) -> str:
-    """Say of each method which setting is the best so far, and what it gains on the one in use."""
+    """Say of each method which setting is the best so far, and what it gains on the first."""
     sentences = []
     for method, tried in settings(frame).groupby("method", sort=False):
         name, known = _label("HC1", str(method)), tried.dropna(subset=["score"])
@@ -96,9 +97,9 @@ def says(frame: pd.DataFrame) -> str:
         if len(known):
             best = known.loc[known["score"].idxmax()]
             text += f"; the best is {best['setting']}, {number(best['score'], 2)}"
-            used = known.loc[known["in_use"], "score"]
-            if len(used) and not best["in_use"]:
-                text += f" ({number(used.max(), 2)} in use)"
+            first = known.loc[known["first"], "score"]
+            if len(first) and not best["first"]:
+                text += f" ({number(first.max(), 2)} where the search began)"
         sentences.append(f"{text}.")
     return " ".join(sentences)
 

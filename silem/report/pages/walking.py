@@ -40,7 +40,7 @@ STANDS, FALLS = "stands", "falls"
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
 MAN = "08_01"
 MEASURES = {
-    "step_hz": "steps per second", "stance_left": "stance, left", "stance_right": "stance, right",
+    "step_hz": "steps/s", "stance_left": "stance, left", "stance_right": "stance, right",
     "clearance_m": "clearance (m)", "symmetry": "symmetry", "features": "from his features",
     "movement": "from his movement",
 }  # fmt: skip
@@ -132,7 +132,7 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
         write = {name: number(found[name], 2) for name in MEASURES}
         stance = f"{write.pop('stance_left')} / {write.pop('stance_right')}"
         named = {MEASURES[name]: text for name, text in write.items()}
-        return named | {"stance, left / right": stance if found["step_hz"] else style.DASH}
+        return named | {"stance, L / R": stance if found["step_hz"] else style.DASH}
 
     man = _man()
     rows = [
@@ -142,11 +142,11 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
     ]
     for name, frame in groups.items():
         for found in gaits(frame).itertuples():
+            length = f", {found.n_iterations:,} iterations" if found.stand_in else ""
             row = {
                 "body": found.body,
-                "method": style.method(found.method, "").label.partition(",")[0],
+                "method": style.method(found.method, "").label.partition(",")[0] + length,
                 "runs": name,
-                "iterations": number(found.n_iterations),
                 "trials": number(len(found.run_ids)),
                 "return": number(found.return_mean),
                 "steps survived": number(MAX_STEPS * found.survived),
@@ -156,8 +156,8 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
             rows.append(row | told(measures.reindex(found.run_ids).mean()))
     if len(rows) == len(man):
         rows.append({"body": "no run"})
-    order = ["body", "method", "runs", "iterations", "trials", "return", "steps survived",
-             "speed (m/s)", "gait", "steps per second", "stance, left / right"]  # fmt: skip
+    order = ["body", "method", "runs", "trials", "return", "steps survived",
+             "speed (m/s)", "gait", "steps/s", "stance, L / R"]  # fmt: skip
     order += [title for name, title in MEASURES.items() if name not in _JOINED]
     left_out = {"runs"} if len(groups) == 1 else set()
     return (
