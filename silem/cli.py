@@ -304,10 +304,8 @@ def _work(options: argparse.Namespace) -> None:
         work.work(configs, options.minutes or math.inf, progress, made)
 
 
-@_takes(
-    _option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
-    *_RUNS, *_ONLY, *_LOOP,
-)  # fmt: skip
+@_takes(_option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
+        *_RUNS, *_ONLY, *_LOOP)  # fmt: skip
 def _campaign(options: argparse.Namespace) -> None:
     """Make what is missing of one study, by two workers if it is not said by how many."""
     options.workers = options.workers or 2

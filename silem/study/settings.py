@@ -98,9 +98,7 @@ class HyperParameters:
     transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", kind=WEIGHT)
     gradient_penalty: float = _used_by(IMITATORS, 0.1, _FOUND, kind=WEIGHT)  # 0 switches it off
-    transform_components: int = _used_by(  # K; more than one are an ensemble
-        ("silem",), 1, optional=True
-    )
+    transform_components: int = _used_by(("silem",), 1, optional=True)  # K, of an ensemble if > 1
     # Of the humanoids alone; 0 where they do not apply.
     transform_l2_scale: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_d
     transform_l2_bias: float = _used_by(("silem",), 0.0, optional=True, kind=WEIGHT)  # w_b

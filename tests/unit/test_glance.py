@@ -18,9 +18,13 @@ from silem.util.paths import REPO
 
 @pytest.fixture
 def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Five trials of HalfCheetah in which SILEM fails on HC2, one run of SILEM on Humanoid."""
+    """SILEM fails on HC2 and is now better, now worse on HC1; one run of it on Humanoid."""
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     synthetic.write_study()
+    (wavers,) = (c for c in cells("halfcheetah") if (c.method, c.body) == ("silem", "HC1"))
+    for seed, score in enumerate((0.7, 1.1, 0.7, 1.1, 0.9)):
+        goal = score * synthetic.EXPERT_RETURNS["HC1"]
+        synthetic.write_record(wavers.config("book", seed), goal)
     for cell in cells("humanoids"):
         if (cell.method, cell.body) == ("silem", "Humanoid"):
             synthetic.write_record(cell.config("book", 0), 840.0)
