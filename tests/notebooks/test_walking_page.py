@@ -71,7 +71,7 @@ def test_walking(execute: Execute) -> None:
     for cell_id in FIGURES:
         assert output(page, cell_id).startswith("<svg"), cell_id
     assert "Atlas SILEM, 250 iterations 1 " in words(output(page, "walks"))
-    assert "demonstration's states 250 1 " in words(output(page, "starts"))
+    assert "SILEM, 250 iterations demonstration's states 1 " in words(output(page, "starts"))
     assert "2,000" in words(output(page, "long"))
     claimed = words(output(page, "claims"))
     assert all(claim.text in claimed for claim in claims.of("humanoids"))
