@@ -249,10 +249,9 @@ def _value(name: str, text: str) -> Any:
 def _configs(options: argparse.Namespace) -> list[RunConfig]:
     """Return the runs of all studies asked for, one study after the other."""
     only: dict[str, Any] = {name: getattr(options, name, None) for name in ("body", "method")}
-    budget, trials, sample = budget_of(options), options.trials, options.sample
+    asked = (budget_of(options), options.trials, options.sample)
     if getattr(options, "winner", False):
-        return studies.fresh_configs(options.studies[0], budget, trials, sample)
-    asked = (budget, trials, sample)
+        return studies.fresh_configs(options.studies[0], *asked)
     return [c for study in options.studies for c in studies.study_configs(study, *asked, **only)]
 
 

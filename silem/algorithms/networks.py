@@ -160,9 +160,12 @@ class AffineTransform(nn.Module):
         return features * self.scale + self.offset
 
     def mean(self) -> dict[str, np.ndarray]:
-        """Return A's diagonal and b, (F,) each; of several maps the mean that the gate gives."""
-        found = {"A": self.scale, "b": self.offset}
+        """Return A's diagonal and b, (F,) each; of several maps the mean that `weigh` noted."""
+        found = {"A": self._one(self.scale), "b": self._one(self.offset)}
         return {name: values.detach().cpu().numpy() for name, values in found.items()}
+
+    def _one(self, values: th.Tensor) -> th.Tensor:
+        return values
 
 
 class AffineEnsemble(AffineTransform):
@@ -205,10 +208,8 @@ class AffineEnsemble(AffineTransform):
         with th.no_grad():
             self.shares.copy_(self.weights(features).flatten(0, -2).mean(0))
 
-    def mean(self) -> dict[str, np.ndarray]:
-        """Return A and b, (F,) each, as the gate weighed them in the states of `weigh`."""
-        maps = {"A": self.scale, "b": self.offset}
-        return {name: (self.shares @ maps[name]).detach().cpu().numpy() for name in maps}
+    def _one(self, values: th.Tensor) -> th.Tensor:
+        return self.shares @ values
 
 
 class MLPTransform(nn.Sequential):

@@ -187,7 +187,7 @@ def build(
     return folder / "html"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Build the book, or draw its figures, from the command line; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m silem.report.build", description=__doc__)
     parser.add_argument("--workers", type=int, default=2, help="notebooks at a time")
@@ -203,10 +203,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             seconds = time.perf_counter() - started
             print(f"The book is built ({seconds:.0f} s). Open {pages / 'index.html'}")
     except SilemError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -339,17 +339,15 @@ def write(path: Path, clip: Clip) -> None:
     files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
 
 
-def main() -> int:
+def main() -> None:
     """Repeat and film the runs that the command line names (`of_training`)."""
     try:
         torch.set_num_threads(1)
         for run_id in sys.argv[1:]:
             of_training(run_id)
     except SilemError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    return 0
+        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -180,13 +180,11 @@ def play_trials(
     chosen, absent = {}, []
     first = records[records["body"].eq(body) & records["seed"].eq(TRIAL_SEEDS[0])]
     for method in methods:
-        label = style.method(method, results.original_body(records)).label.partition(",")[0]
-        runs = first[first["method"] == method]
+        runs, original = first[first["method"] == method], results.original_body(records)
         if runs.empty:
-            absent.append(label)
+            absent.append(style.method(method, original).name)
         for run in runs.itertuples():
-            label += f", {run.n_iterations:,} iterations" if run.stand_in else ""
-            chosen[label] = results.find(run.run_id)
+            chosen[style.of_run(run, original)] = results.find(run.run_id)
     if chosen:
         clips = films.of_runs(chosen, duration_s)
         play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")

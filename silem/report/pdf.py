@@ -75,7 +75,7 @@ def print_page(browser: Browser, page: Path, target: Path) -> None:
     files.write_bytes(target, data)
 
 
-def main() -> int:
+def main() -> None:
     """Write ``_build/silem.pdf`` from the sources that the book was built from."""
     started, target = time.perf_counter(), REPO / "_build" / "silem.pdf"
     try:
@@ -87,11 +87,9 @@ def main() -> int:
             print_page(browser, page, target)
             browser.close()
     except SilemError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        sys.exit(f"error: {error}")
     print(f"{target}: {target.stat().st_size / 1e6:.1f} MB, {time.perf_counter() - started:.0f} s")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -56,6 +56,11 @@ class MethodStyle(NamedTuple):
     color: str
     marker: str
 
+    @property
+    def name(self) -> str:
+        """The label without what it says of the method after a comma."""
+        return self.label.partition(",")[0]
+
 
 METHODS = {
     "silem": MethodStyle("SILEM", "#0072B2", "o"),
@@ -86,6 +91,12 @@ def method(name: str, original: str = "HC0", *, short: bool = False) -> MethodSt
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
     label = label.format(original=original)
     return chosen._replace(label=label.partition(" (")[0] if short else label)
+
+
+def of_run(run: Any, original: str) -> str:
+    """Return the name of a run's method, with the iterations of a row that stands in for others."""
+    length = f", {run.n_iterations:,} iterations" if run.stand_in else ""
+    return method(run.method, original).name + length
 
 
 def body_color(index: int, count: int) -> str:

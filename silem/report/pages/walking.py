@@ -142,10 +142,9 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
     ]
     for name, frame in groups.items():
         for found in gaits(frame).itertuples():
-            length = f", {found.n_iterations:,} iterations" if found.stand_in else ""
             row = {
                 "body": found.body,
-                "method": style.method(found.method, "").label.partition(",")[0] + length,
+                "method": style.of_run(found, ""),
                 "runs": name,
                 "trials": number(len(found.run_ids)),
                 "return": number(found.return_mean),
@@ -271,17 +270,15 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     )
     names = results.body_names(frame)
     for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
-        label, run_id = (
-            style.method(method, "").label.partition(",")[0],
-            longest_run(frame, method, body),
-        )
+        run_id = longest_run(frame, method, body)
         if not run_id:
             blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
-            clips[f"{label}\n{body}: no run yet"] = film.Clip(blank, shown.frames_per_s)
+            label = f"{style.method(method, '').name}\n{body}: no run yet"
+            clips[label] = film.Clip(blank, shown.frames_per_s)
             continue
-        run = frame.set_index("run_id").loc[run_id]
-        label += f", {run['n_iterations']:,} iterations" * bool(run["stand_in"])
-        clips |= film.of_runs({f"{label}\n{body}": results.find(run_id)}, duration_s, _CELL)
+        (run,) = frame[frame["run_id"] == run_id].itertuples()
+        label = f"{style.of_run(run, '')}\n{body}"
+        clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
     return film.grid(clips, n_columns=4, label_size=0.05)
 
 
