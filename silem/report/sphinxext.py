@@ -118,7 +118,11 @@ def settings() -> Table:
     for field in dataclasses.fields(HyperParameters):
         users = field.metadata["methods"]
         used_by = "all" if set(users) == learned else ", ".join(users)
-        rows.append((f"`{field.name}`", layers(field.default), used_by))
+        default = layers(field.default)
+        for name, method in METHODS.items():
+            if chosen := method.chosen.get(field.name):
+                default += f"; {name} {layers(chosen.value)}"
+        rows.append((f"`{field.name}`", default, used_by))
     caption = (
         "The hyper-parameters of `HyperParameters`, their defaults, and the methods that use"
         " each. The paper's best combination of a cell replaces the defaults."

@@ -20,6 +20,13 @@ HUMAN = "cmu_08_01"
 """The demonstration of every humanoid: subject 8's first clip of the CMU motion capture library."""
 
 
+class Setting(NamedTuple):
+    """One value and where it comes from."""
+
+    value: Any
+    source: str
+
+
 @dataclass(frozen=True)
 class Method:
     """One way to make a policy."""
@@ -28,14 +35,20 @@ class Method:
     algorithm: str = ""  # of `silem.algorithms`
     transform: str | None = None
     source: str = ""  # learns from the "original" body's expert or human, its "own", "retargeted"
+    chosen: Mapping[str, Setting] = field(default_factory=dict)  # what the search found for it alone
 
+
+_FOUND = "open: the search on HC1 and HC2"
+_NO_BONUS = {"disc_entropy_coef": Setting(0.0, _FOUND)}
 
 METHODS = {
     "ppo": Method("an expert: PPO with the true reward", "PPO"),
     "random": Method("the untrained Gaussian policy, whose raw actions the task charges"),
     "silem": Method("SILEM", "SILEM", "affine", "original"),
-    "silem-minus": Method("SILEM without the transform", "GAIfO", None, "original"),
-    "silem-minus-own": Method("SILEM-minus from the own body's expert", "GAIfO", None, "own"),
+    "silem-minus": Method("SILEM without the transform", "GAIfO", None, "original", _NO_BONUS),
+    "silem-minus-own": Method(
+        "SILEM-minus from the own body's expert", "GAIfO", None, "own", _NO_BONUS
+    ),
     "silem-mlp": Method("SILEM with an MLP as transform (Table 1)", "SILEM", "mlp", "original"),
     "tpil": Method("third-person imitation learning", "TPIL", None, "original"),
     "peng20": Method("SILEM-minus from retargeted demonstrations", "GAIfO", None, "retargeted"),
@@ -59,8 +72,7 @@ def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
 _BEST = paper.best_combination("HC0", "silem", "HC0")
 _COMMON, _TEXT = "supplement, common settings for PPO", "supplement, text"
-_ROW = "supplement, SILEM's best combination for HC0"
-_FOUND = "open: the search on HC1 and HC2"
+_ROW, _MEREL = "supplement, SILEM's best combination for HC0", "merel-mocap-gail"
 
 
 @dataclass(frozen=True)
@@ -96,7 +108,7 @@ class HyperParameters:
     )
     disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
     transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND)
-    disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, "merel-mocap-gail", kind=WEIGHT)
+    disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, _MEREL, kind=WEIGHT)
     gradient_penalty: float = _used_by(IMITATORS, 0.1, _FOUND, kind=WEIGHT)  # 0 switches it off
     transform_components: int = _used_by(("silem",), 1, optional=True)  # K, of an ensemble if > 1
     # Of the humanoids alone; 0 where they do not apply.
@@ -217,13 +229,6 @@ BUDGETS = {
 }
 
 
-class Setting(NamedTuple):
-    """One value and where it comes from."""
-
-    value: Any
-    source: str
-
-
 @dataclass(frozen=True)
 class FamilySettings:
     """What the study takes for a family of bodies."""
@@ -254,6 +259,7 @@ FAMILIES = {
             "n_trajectories": Setting(1, "one clip"),
             "log_std_init": Setting(-1.6, f"open: {_SHAKES}"),
             "gradient_penalty": Setting(0.1, f"open: {_SMOOTH}"),
+            "disc_entropy_coef": Setting(1e-3, _MEREL),
             "transform_learning_rate": Setting(1e-3, f"open: {_FEW}"),
             "n_transform_updates": Setting(_GRID["N_G"][0], "supplement, the grid's one value"),
             "transform_lr_decay": Setting(1.0, "supplement: Atlas's grid has no decay"),
@@ -358,8 +364,9 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
 def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
     """Return every hyper-parameter of a method on a body, and the body's, each with its source.
 
-    The later overrules the earlier: the defaults, what is chosen for the family, the paper's common
-    table of the family, the paper's best combination of the cell. `source` names demonstrations.
+    The later overrules the earlier: the defaults, what is chosen for the method, what is chosen for
+    the family, the paper's common table of the family, the paper's best combination of the cell.
+    `source` names demonstrations.
     """
     moved = bodies.get(body)
     family = moved.family
@@ -368,7 +375,7 @@ def resolve(body: str, method: str, source: str = "") -> dict[str, Setting]:
         for name, item in HyperParameters.used_by(method).items()
     }
     found |= {name: Setting(value, "the body's own") for name, value in moved.parameters.items()}
-    better = dict(_family(family).chosen)
+    better = {**METHODS[method].chosen, **_family(family).chosen}
     if family in FAMILIES:
         better |= {name: Setting(value, _COMMON) for name, value in _common(family).items()}
     # Experts too take SILEM's combination, as far as they use it, where a clip demonstrates: of

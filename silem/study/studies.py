@@ -268,13 +268,14 @@ _SEARCHED: tuple[tuple[str, Settings], ...] = (
     ("silem", (_RATE_1, _PENALTY)),
     *(("silem-minus", (_PENALTY, ("disc_learning_rate", rate))) for rate in (3e-4, 3e-3)),
     ("silem-minus", (("gradient_penalty", 0.03),)),
-    # 3. the entropy bonus of D; SILEM kept its own: 1e-2 is as good, and the one in use is nearer
+    # 3. the entropy bonus of D; SILEM kept its own: 1e-2 is as good, and the one in use is nearer;
+    # for SILEM-minus none is the best
     *(("silem", (_RATE_1, _PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
     *(("silem-minus", (_PENALTY, ("disc_entropy_coef", weight))) for weight in (0.0, 1e-2)),
 )
 SEARCHED_FROM: dict[str, dict[str, Any]] = {
     "silem": {"transform_learning_rate": 1e-4, "gradient_penalty": 1.0},
-    "silem-minus": {"gradient_penalty": 1.0},
+    "silem-minus": {"gradient_penalty": 1.0, "disc_entropy_coef": 1e-3},
 }
 """What was in use when the search began, by method; what it chose is in use since."""
 _define(

@@ -58,9 +58,12 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
     for cell in cells(study):
         configs = [cell.config(budget, seed) for seed in seeds_of(study, BUDGETS[budget])]
         usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
-        setting = ", ".join(f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in cell.overrides)
+        began = SEARCHED_FROM[cell.method]
+        changed = [item for item in cell.overrides if began.get(item[0]) != item[1]]
+        words = [f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in changed or began.items()]
+        setting = ", ".join(words) if changed else f"as it began: {', '.join(words)}"
         about = {"method": cell.method, "setting": setting, "in_use": configs[0].hyper == usual}
-        about["first"] = dict(cell.overrides) == SEARCHED_FROM[cell.method]
+        about["first"] = not changed
         row = rows.setdefault((cell.method, setting), about)
         row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
     table = pd.DataFrame(rows.values())
