@@ -35,7 +35,7 @@ class Method:
     algorithm: str = ""  # of `silem.algorithms`
     transform: str | None = None
     source: str = ""  # learns from the "original" body's expert or human, its "own", "retargeted"
-    chosen: Mapping[str, Setting] = field(default_factory=dict)  # what the search found for it alone
+    chosen: Mapping[str, Setting] = field(default_factory=dict)  # by the search, for it alone
 
 
 _FOUND = "open: the search on HC1 and HC2"
