@@ -32,7 +32,7 @@ from tqdm import tqdm
 import silem
 from silem import bodies
 from silem.algorithms import PPO, SILEM
-from silem.algorithms.networks import AffineTransform
+from silem.algorithms.silem import AffineTransform
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.envs.mujoco import body_of
