@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from silem.bodies import MujocoBody, atlas
-from silem.motion.features import FEATURES, POINTS, Landmarks, g
+from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
+from silem.motion.kinematics import observe
 from silem.util.errors import SilemError
 
 # the published constants, by name of link and joint: what the model's text has to hold
@@ -43,8 +44,9 @@ def angle(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> float:
 
 
 def features(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, float]:
-    values = g(model, data, Landmarks(model, atlas.SKELETON))
-    return dict(zip((feature.name for feature in FEATURES), values.tolist(), strict=True))
+    seen = observe(model, atlas.SKELETON, data.qpos[None], data.qvel[None])
+    (values,) = skeletal_features(*seen).tolist()
+    return dict(zip((feature.name for feature in FEATURES), values, strict=True))
 
 
 def head_after(
@@ -226,9 +228,8 @@ def test_left_is_y_and_both_sides_mirror_each_other(
         low, high = model.joint(name).range
         pose[here] = rng.uniform(low, high)
         mirrored[twin] = pose[here] * (1 if name.endswith(("y", "ry")) else -1)
-    points, reflected = (
-        Landmarks(model, atlas.SKELETON).points(placed(model, qpos)) for qpos in (pose, mirrored)
-    )
+    ids = Landmarks(model, atlas.SKELETON).ids
+    points, reflected = (placed(model, qpos).xpos[ids] for qpos in (pose, mirrored))
     swap = [POINTS.index(_other_side(point)) for point in POINTS]
     np.testing.assert_allclose(reflected[swap] * (1, -1, 1), points, atol=1e-5)
     left = points[POINTS.index("left_hip"), 1] - points[POINTS.index("right_hip"), 1]

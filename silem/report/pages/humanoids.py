@@ -101,7 +101,7 @@ def posed(
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    return data, Landmarks(model, body.skeleton).points(data)
+    return data, data.xpos[Landmarks(model, body.skeleton).ids]
 
 
 def overview(names: Sequence[str]) -> pd.DataFrame:
