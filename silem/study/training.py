@@ -20,9 +20,8 @@ from tqdm import tqdm
 
 from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
-from silem.bodies import MujocoBody
+from silem.bodies import MujocoBody, of_kind
 from silem.envs import make_vec
-from silem.envs.mujoco import body_of
 from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
@@ -59,7 +58,7 @@ def make_env(config: RunConfig) -> VecEnv:
         name = config.demonstrations if options else HUMAN
         if not name.endswith(retargeted("", config.body)):
             name = retargeted(name, config.body)
-        options["starts"] = demonstration_states(name, body_of(config.learner))
+        options["starts"] = demonstration_states(name, of_kind(config.learner, MujocoBody))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)
     if not config.hyper.clip_actions:

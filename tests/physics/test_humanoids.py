@@ -10,9 +10,9 @@ import pytest
 from dm_control import suite
 
 from silem import bodies
-from silem.bodies import humanoid
+from silem.bodies import MujocoBody, humanoid
 from silem.envs import BatchedEnv, SingleEnv, make_vec
-from silem.envs.mujoco import Simulation, body_of, observe, stepped_model
+from silem.envs.mujoco import Simulation, observe, stepped_model
 from silem.motion.features import FEATURES, Landmarks, skeletal_features
 from silem.motion.kinematics import observe as seen
 from silem.util.errors import SilemError
@@ -284,7 +284,7 @@ def test_bad_input_is_refused():
         with pytest.raises(SilemError, match="speed_m_s must be a finite number above 0, not 0"):
             make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
-        body_of("HC0")
+        bodies.of_kind("HC0", MujocoBody)
     with pytest.raises(SilemError, match="arm scaled by -1"):
         humanoid.model(left_arm=-1)
     single = SingleEnv("Humanoid", render_mode="rgb_array")
