@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View, numbers
+from silem.bodies.body import Motor, MujocoBody, Skeleton, View, numbers
 from silem.util.errors import SilemError
 
 if TYPE_CHECKING:
     import mujoco
 
 FAMILY = "humanoid"
-ENGINE: Engine = "mujoco"
 
 ARM_FACTORS = {"left": 0.5, "right": 1.5}
 """HumanoidR's arm lengths as multiples of Humanoid's. The paper says "elongating Humanoid's right
