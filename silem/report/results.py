@@ -23,7 +23,7 @@ from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.demonstrate import experts
 from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
-from silem.study.studies import cells, seeds_of, study_configs
+from silem.study.studies import cells, folder_of, seeds_of, study_configs
 from silem.study.verify import check
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
@@ -74,7 +74,7 @@ def load_records(
     plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
-    for record in _records(next((cell.study for cell in cells(study)), study), budget):
+    for record in _records(folder_of(study), budget):
         config = record.run_config()
         if _is_copy(config):
             continue
@@ -236,7 +236,7 @@ def trace(frame: pd.DataFrame) -> HTML:
 
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
-    folder = cells(study)[0].study
+    folder = folder_of(study)
     kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
     where = f"records in data/results/{folder}" if kept else "local runs"
     missing, aside = frame.attrs["missing"], [{"run_id": n} for n in frame.attrs["set_aside"]]

@@ -289,6 +289,11 @@ _define(
 )
 
 
+def folder_of(study: str) -> str:
+    """Return the name of the folder of a study's or search's runs."""
+    return SEARCH + study.replace("/", "-") if "/" in study else study
+
+
 def study_of(name: str) -> Study:
     """Return a study by name; STUDY/BODY/METHOD is the supplement's search of that cell.
 
@@ -314,7 +319,7 @@ def study_of(name: str) -> Study:
     best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
     order = seeding.generator(0, "search").permutation(len(points))
     points = sorted((points[i] for i in order), key=lambda point: point != best)
-    given, label = dict(cell.overrides), f"{SEARCH}{study}-{cell.body}-{cell.method}"
+    given, label = dict(cell.overrides), folder_of(name)
     cells = (
         dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
         for point in points

@@ -295,7 +295,7 @@ def status(
         name + "".join(f" {k}={v}" for k, v in (cell.overrides if name in several else ()))
         for cell, name in zip(shown, names, strict=True)
     ]
-    width = max(map(len, titles)) + 2
+    width = max(map(len, titles), default=0) + 2
     lines = [f"{study}, budget {budget.name}, trials by seed:"]
     lines.append((" " * width + "".join(f"{seed:<10}" for seed in seeds)).rstrip())
     for title, row in zip(titles, rows, strict=True):

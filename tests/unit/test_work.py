@@ -18,6 +18,7 @@ import synthetic_records as synthetic
 from silem import paper
 from silem.cli import main
 from silem.motion import demonstrations
+from silem.report import results
 from silem.report.pages.open_settings import travel_allowed
 from silem.study import demonstrate, runs, work
 from silem.study.config import RunConfig
@@ -27,8 +28,10 @@ from silem.study.settings import BUDGETS
 from silem.study.studies import (
     SEARCH_SEEDS,
     SLOPES_DEG,
+    STUDIES,
     TORSOS,
     TRIAL_SEEDS,
+    Study,
     cells,
     fresh_configs,
     ranking,
@@ -364,6 +367,22 @@ def test_status_tells_who_works_where_and_how_long_the_rest_takes() -> None:
     assert f"{configs[1].run_id} 200/800, return 512 ({os.getpid()}@" in line
     # 420 s for each of 12 that are missing and learn, and what the one at work still needs
     assert told[-1] == "left: 15 of 16 runs, 1.4 hours for one worker at the speed measured"
+
+
+def test_a_study_without_cells_has_nothing_to_do(
+    made: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As long as what its cells are is not decided."""
+    monkeypatch.setitem(STUDIES, "open", Study((), TRIAL_SEEDS, "to be decided"))
+    assert main(["status", "open"]) == 0
+    assert "left: 0 of 0 runs" in capsys.readouterr().out
+    assert main(["work", "open", "--quiet"]) == 0 and made == []
+    assert main(["submit", "open", "--on", "slurm", "--print"]) == 0
+    for request in ("search open/HC0/silem", "work open --body HC0"):
+        assert main(request.split()) == 2
+        assert "allowed: none" in capsys.readouterr().err
+    frame = results.load_records("open", "tiny")
+    assert len(frame) == 0 and "0 runs" in results.trace(frame).data
 
 
 def test_locks_that_do_not_hold_are_told(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
