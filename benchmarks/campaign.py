@@ -26,7 +26,7 @@ import numpy as np
 from silem.report.results import load_records
 from silem.study import work
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, curve_csv, curve_row
+from silem.study.runs import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, curve_csv, curve_row
 from silem.study.settings import BUDGETS
 from silem.study.studies import STUDIES, Cell, Study, study_configs
 from silem.util import files, paths

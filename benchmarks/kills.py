@@ -31,7 +31,7 @@ from silem.motion import demonstrations as demos
 from silem.study import demonstrate as recording
 from silem.study import evaluate, runs, training
 from silem.study.config import RunConfig
-from silem.study.record import CHECKPOINT, RECORD, RunRecord
+from silem.study.runs import CHECKPOINT, RECORD, RunRecord
 from silem.study.settings import BUDGETS, Budget
 from silem.util import files, paths
 

@@ -20,7 +20,7 @@ import silem
 from silem import bodies
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
-from silem.study.record import POLICY, RECORD, RunRecord
+from silem.study.runs import POLICY, RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, budget_named
 from silem.util import files
 from silem.util.errors import LARGEST, SilemError, choose, clipped

@@ -39,7 +39,7 @@ from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.record import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
+from silem.study.runs import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
 from silem.study.training import Checkpoint, make_env, make_model, train
 from silem.util import files, seeding
 from silem.util.errors import SilemError, choose

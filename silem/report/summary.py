@@ -33,7 +33,7 @@ from silem.report.sphinxext import TABLES, Table, TableDirective, role
 from silem.report.style import DASH, number
 from silem.report.web import records
 from silem.study.config import RunConfig
-from silem.study.record import RECORD, git
+from silem.study.runs import RECORD, git
 from silem.study.settings import METHODS
 from silem.study.studies import STUDIES, study_configs
 from silem.util import files, paths

@@ -36,7 +36,7 @@ from silem.report import results, style
 from silem.report.film import LEARNING
 from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
-from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.runs import CURVE, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import METHODS
 from silem.study.studies import STUDIES
 from silem.util import files, paths

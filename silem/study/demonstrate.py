@@ -12,7 +12,7 @@ from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.study.settings import Budget, budget_named
 from silem.study.studies import STUDIES
 from silem.util.errors import SilemError

@@ -16,7 +16,7 @@ from silem.bodies import Body
 from silem.envs import make_vec
 from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
-from silem.study.record import POLICY, RunRecord
+from silem.study.runs import POLICY, RunRecord
 from silem.study.training import unclipped
 from silem.util import seeding
 from silem.util.errors import SilemError

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import record as records
+from silem.study import runs
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.record import CURVE, POLICY, TRANSFORM, RunRecord, git, provenance
+from silem.study.runs import CURVE, POLICY, TRANSFORM, RunRecord, git, provenance
 from silem.study.settings import IMITATORS
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
@@ -153,12 +153,12 @@ def _faults_of_curve(columns: Mapping[str, np.ndarray], config: RunConfig) -> It
         known = values[~np.isnan(values)]
         if np.isinf(known).any() or (known < low).any() or (known > high).any():
             yield f"{CURVE}: {name} can be {low:g} to {high:g}"
-    always, ordered = records.CURVE_COLUMNS[: records.ALWAYS], records.CURVE_COLUMNS
+    always, ordered = runs.CURVE_COLUMNS[: runs.ALWAYS], runs.CURVE_COLUMNS
     if {*always} - columns.keys() or [*columns] != [name for name in ordered if name in columns]:
         yield f"{CURVE} has the columns {', '.join(columns)}"
     iterations = columns["iteration"]
     if (
-        not 1 <= len(iterations) <= records.MAX_ROWS
+        not 1 <= len(iterations) <= runs.MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
         or not np.array_equal(columns["timesteps"], iterations * budget.steps_per_iteration)
@@ -259,7 +259,7 @@ def _made_here(record: RunRecord) -> bool:
     here, there = provenance(), record.provenance
     machine, packages = there.get("machine") or {}, there["packages"]
     return all(here["machine"][key] == machine.get(key) for key in ("processor", "kernels")) and (
-        here["packages"] == {name: packages.get(name) for name in records.PACKAGES}
+        here["packages"] == {name: packages.get(name) for name in runs.PACKAGES}
     )
 
 
@@ -268,7 +268,7 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
 
     Raises SilemError: there is nothing of this name.
     """
-    results, record = paths.data_dir() / "results", records.RECORD
+    results, record = paths.data_dir() / "results", runs.RECORD
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
     for published in demos.manifest() if name is None else ():

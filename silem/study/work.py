@@ -22,7 +22,7 @@ from tqdm import tqdm
 from silem.motion import demonstrations as demos
 from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
-from silem.study.record import PROGRESS, RunRecord
+from silem.study.runs import PROGRESS, RunRecord
 from silem.study.settings import Budget, expert_of
 from silem.study.studies import cells, seeds_of
 from silem.util import files, paths

@@ -16,7 +16,7 @@ from silem.motion.features import FEATURES
 from silem.report import results
 from silem.study import studies, verify
 from silem.study.config import SEARCH
-from silem.study.record import POLICY, RECORD, RunRecord
+from silem.study.runs import POLICY, RECORD, RunRecord
 from silem.study.settings import HUMAN, expert_of
 from silem.util import files, paths
 

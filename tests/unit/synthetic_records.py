@@ -14,7 +14,7 @@ from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion.features import FEATURES
 from silem.study.config import RunConfig
-from silem.study.record import MAX_ROWS, POLICY, RunRecord, curve_csv, curve_row
+from silem.study.runs import MAX_ROWS, POLICY, RunRecord, curve_csv, curve_row
 from silem.study.studies import study_configs
 from silem.study.training import settings
 from silem.util import files, paths

@@ -18,7 +18,7 @@ from silem.report.scores import humanoid_scores
 from silem.report.transforms import feature_groups, feature_names
 from silem.study import studies as plans
 from silem.study.config import RunConfig
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.util.errors import SilemError
 
 PLANNED = RunConfig.create("Atlas", "ppo", budget="book").budget.n_iterations

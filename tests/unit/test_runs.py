@@ -22,7 +22,7 @@ from silem.study import runs, settings, training
 from silem.study.config import RunConfig
 from silem.study.demonstrate import demonstrate
 from silem.study.evaluate import RandomPolicy, evaluate, load_policy
-from silem.study.record import (
+from silem.study.runs import (
     CHECKPOINT,
     CURVE,
     CURVE_COLUMNS,

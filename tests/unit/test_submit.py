@@ -18,7 +18,7 @@ import pytest
 
 from silem.cli import main
 from silem.study import runs
-from silem.study.record import CHECKPOINT, RECORD
+from silem.study.runs import CHECKPOINT, RECORD
 from silem.study.submit import ENGINES, Options, submission, submit
 from silem.util import files, paths
 from silem.util.errors import SilemError

@@ -15,7 +15,7 @@ from silem.cli import main
 from silem.motion import demonstrations as demos
 from silem.study import runs, verify
 from silem.study.config import RunConfig
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, git
+from silem.study.runs import CURVE, POLICY, RECORD, TRANSFORM, git
 from silem.study.settings import Budget
 from silem.util import files
 from silem.util.errors import SilemError

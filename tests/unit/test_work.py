@@ -23,7 +23,7 @@ from silem.report.pages.open_settings import travel_allowed
 from silem.study import demonstrate, runs, work
 from silem.study.config import RunConfig
 from silem.study.evaluate import RandomPolicy, evaluate
-from silem.study.record import CHECKPOINT, PROGRESS, RECORD
+from silem.study.runs import CHECKPOINT, PROGRESS, RECORD
 from silem.study.settings import BUDGETS
 from silem.study.studies import (
     SEARCH_SEEDS,

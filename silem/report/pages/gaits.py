@@ -22,7 +22,7 @@ from silem.study import demonstrate, runs
 from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.study.settings import expert_of
 from silem.study.studies import cells
 from silem.util.errors import SilemError, choose

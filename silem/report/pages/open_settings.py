@@ -19,7 +19,7 @@ from silem.report import results, style, tables
 from silem.report.curves import QUANTITIES
 from silem.report.style import number
 from silem.study.config import RunConfig
-from silem.study.record import TRANSFORM
+from silem.study.runs import TRANSFORM
 from silem.study.settings import BUDGETS, HyperParameters
 from silem.study.studies import SEARCHED_FROM, cells, seeds_of
 from silem.util import files, paths
