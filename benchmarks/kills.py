@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import demonstrate as recording
 from silem.study import evaluate, runs, training
 from silem.study.config import RunConfig
 from silem.study.runs import CHECKPOINT, RECORD, RunRecord
@@ -44,7 +43,7 @@ def work(phase: Phase) -> None:
     """Make everything that is not there yet."""
     expert = runs.run(RunConfig.create("HC0", "ppo", None, "book", 0, **SMALL), progress=False)
     phase.value = PHASES.index("recording demonstrations")
-    recording.demonstrate(expert, 2)
+    evaluate.demonstrate(expert, 2)
     phase.value = 0
     imitator = RunConfig.create("HC0", "silem", None, "book", 0, n_trajectories=2, **SMALL)
     runs.run(imitator, progress=False)

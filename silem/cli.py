@@ -391,19 +391,20 @@ def _evaluate(options: argparse.Namespace) -> None:
 )
 def _demonstrations(options: argparse.Namespace) -> None:
     """Record an expert's demonstrations."""
-    from silem.study import demonstrate
-
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
     name = None
     if options.run:
         record = runs.get(options.run)
     else:
-        record = demonstrate.demonstrator(options.body, options.budget, options.trial)
-        name = None if options.trial is None else demonstrate.trial_name(record)
+        experts = studies.experts(options.body, options.budget, options.trial)
+        record = runs.demonstrator(experts)
+        name = None if options.trial is None else f"{options.body}_s{options.trial}"
+    from silem.study import evaluate
+
     how = {"name": name, "force": options.force, "progress": not options.quiet}
-    path = demonstrate.demonstrate(record, options.trajectories, **how)
-    print(f"{path}: {demonstrate.describe(path.stem)}")
+    path = evaluate.demonstrate(record, options.trajectories, **how)
+    print(f"{path}: {evaluate.describe(path.stem)}")
 
 
 @_takes(

@@ -20,10 +20,9 @@ from IPython.display import HTML
 from silem import bodies
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
-from silem.study.demonstrate import experts
 from silem.study.runs import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
-from silem.study.studies import cells, folder_of, seeds_of, study_configs
+from silem.study.studies import cells, experts, folder_of, seeds_of, study_configs
 from silem.study.verify import check
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose

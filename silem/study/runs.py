@@ -10,7 +10,7 @@ import signal
 import subprocess
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -223,6 +223,24 @@ def finished(config: RunConfig) -> RunRecord | None:
                 f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
             )
     return record
+
+
+def demonstrator(experts: Sequence[RunConfig]) -> RunRecord:
+    """Return a body's demonstrator: the expert with the highest return among all its trials.
+
+    "Running as fast as possible" (Section V) is a choice among policies; this is the rule for it,
+    the same for every body. Returns are those of the finished runs' evaluations. Raises SilemError:
+    not all of these experts are finished; the message names the next.
+    """
+    found = [find(config.run_id) for config in experts]
+    missing = [config for config, record in zip(experts, found, strict=True) if record is None]
+    if missing:
+        raise SilemError(
+            f"the demonstrator of {missing[0].body} is the best of {len(found)} experts, of which"
+            f" {len(missing)} are not finished; next: {missing[0].command}"
+        )
+    records = [record for record in found if record is not None]
+    return max(records, key=lambda record: float(record.evaluation["return_mean"]))
 
 
 def instead_of(path: Path) -> str:

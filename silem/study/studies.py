@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
-from silem import paper
+from silem import bodies, paper
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, Budget, HyperParameters, budget_named
@@ -325,6 +325,19 @@ def study_of(name: str) -> Study:
         for point in points
     )
     return Study(tuple(cells), SEARCH_SEEDS, f"the supplement's grid {table.grid} on {name}")
+
+
+def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:
+    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's.
+
+    Those of its family's study; of a body that its name describes, of the first that plans them.
+    """
+    every = (cell for known in STUDIES.values() for cell in known.cells)
+    plans = [cell.study for cell in every if (cell.method, cell.body) == ("ppo", body)]
+    study = plans[0] if plans and body not in bodies.names() else None
+    trials = STUDIES[study].seeds if study else TRIAL_SEEDS
+    seeds = trials[: budget_named(budget).n_trials] if trial is None else (trial,)
+    return [RunConfig.create(body, "ppo", None, budget, seed, study) for seed in seeds]
 
 
 def cells(study: str) -> list[Cell]:

@@ -20,8 +20,7 @@ from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, settings, training
 from silem.study.config import RunConfig
-from silem.study.demonstrate import demonstrate
-from silem.study.evaluate import RandomPolicy, evaluate, load_policy
+from silem.study.evaluate import RandomPolicy, demonstrate, evaluate, load_policy
 from silem.study.runs import (
     CHECKPOINT,
     CURVE,

@@ -20,7 +20,8 @@ from silem.cli import main
 from silem.motion import demonstrations
 from silem.report import results
 from silem.report.pages.open_settings import travel_allowed
-from silem.study import demonstrate, runs, work
+from silem.study import evaluate as recording
+from silem.study import runs, work
 from silem.study.config import RunConfig
 from silem.study.evaluate import RandomPolicy, evaluate
 from silem.study.runs import CHECKPOINT, PROGRESS, RECORD
@@ -33,6 +34,7 @@ from silem.study.studies import (
     TRIAL_SEEDS,
     Study,
     cells,
+    experts,
     fresh_configs,
     ranking,
     study_configs,
@@ -81,12 +83,12 @@ def test_a_ladder_has_experts_of_its_own_and_one_combination() -> None:
     assert len(configs) == (8 * 5 + 1) * 2
     for body in TORSOS:
         own = [c for c in configs if c.body == body and c.method == "ppo"]
-        assert demonstrate.experts(body, "book") == own and {c.seed for c in own} == {0, 1}
-        assert [c.run_id for c in demonstrate.experts(body, "book", 1)] == [own[1].run_id]
+        assert experts(body, "book") == own and {c.seed for c in own} == {0, 1}
+        assert [c.run_id for c in experts(body, "book", 1)] == [own[1].run_id]
         needs = next(c for c in configs if c.demonstrations == body)
         assert work.experts_of(needs) == own
-    assert {c.study for c in demonstrate.experts("HC2", "book")} == {"halfcheetah"}
-    assert {c.study for c in demonstrate.experts("HC0-slope-5", "book")} == {"halfcheetah"}
+    assert {c.study for c in experts("HC2", "book")} == {"halfcheetah"}
+    assert {c.study for c in experts("HC0-slope-5", "book")} == {"halfcheetah"}
     # the paper has other combinations for HC1 and HC2, which are as long as two of these
     hyper = {c.hyper for c in study_configs("halfcheetah", "book") if c.method == "silem"}
     ladder = {c.hyper for c in configs if c.method == "silem"}
@@ -211,7 +213,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         publish(b"")
 
     monkeypatch.setattr(work.runs, "run", run)
-    monkeypatch.setattr(work.demonstrate, "demonstrate", demonstrate)
+    monkeypatch.setattr(recording, "demonstrate", demonstrate)
     monkeypatch.setattr(work, "_POLL_S", 0.0)
     return order
 
