@@ -22,7 +22,7 @@ from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.runs import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
-from silem.study.studies import cells, experts, folder_of, seeds_of, study_configs
+from silem.study.studies import cells, experts, folder_of, narrowed, study_configs
 from silem.study.verify import check
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
@@ -263,7 +263,7 @@ def commits(frame: pd.DataFrame) -> str:
 
 def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
-    return len(seeds_of(frame.attrs["study"], BUDGETS[frame.attrs["budget"]]))
+    return len(narrowed(frame.attrs["study"], frame.attrs["budget"]).seeds)
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:

@@ -345,36 +345,34 @@ def cells(study: str) -> list[Cell]:
     return list(study_of(study).cells)
 
 
-def seeds_of(study: str, budget: Budget, n_trials: int | None = None) -> tuple[int, ...]:
-    """Return the root seeds of a study's trials; None means as many as budget and study have."""
-    seeds = study_of(study).seeds
-    if n_trials is None:
-        return seeds[: budget.n_trials]
-    if not 1 <= n_trials <= len(seeds):
-        raise SilemError(f"trials of {study} must be 1 to {len(seeds)}, not {n_trials}")
-    return seeds[:n_trials]
-
-
-def study_configs(
+def narrowed(
     study: str,
     budget: str | Budget,
     n_trials: int | None = None,
     sample: int | None = None,
     **only: Sequence[str] | None,
-) -> list[RunConfig]:
-    """Return the runs of a study or search: the first trial of every cell before any second.
+) -> Study:
+    """Return what is asked for of a study or search; `n_trials` None means as many as it has.
 
-    Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
-    cells alone; `n_trials` None means as many as the budget and the study have. Raises SilemError:
-    an unknown study or budget, or more trials than there are fixed seeds.
+    That is as many as the budget and the study have. Of a search `sample` keeps the first so many
+    cells, ``method=[...]`` and ``body=[...]`` those cells alone. Raises SilemError: an unknown
+    study or budget, or more trials than there are fixed seeds.
     """
-    budget = budget_named(budget)
-    kept, seeds = cells(study)[:sample], seeds_of(study, budget, n_trials)
+    whole, n = study_of(study), budget_named(budget).n_trials if n_trials is None else n_trials
+    if n_trials is not None and not 1 <= n <= len(whole.seeds):
+        raise SilemError(f"trials of {study} must be 1 to {len(whole.seeds)}, not {n_trials}")
+    kept = whole.cells[:sample]
     for name, wanted in only.items():
         for value in wanted or ():
-            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in cells(study)))
-        kept = [cell for cell in kept if not wanted or getattr(cell, name) in wanted]
-    return [cell.config(budget, seed) for seed in seeds for cell in kept]
+            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in whole.cells))
+        kept = tuple(cell for cell in kept if not wanted or getattr(cell, name) in wanted)
+    return dataclasses.replace(whole, cells=kept, seeds=whole.seeds[:n])
+
+
+def study_configs(study: str, budget: str | Budget, *which: Any, **only: Any) -> list[RunConfig]:
+    """Return the runs of a study, `narrowed`: the first trial of every cell before any second."""
+    part = narrowed(study, budget, *which, **only)
+    return [cell.config(budget, seed) for seed in part.seeds for cell in part.cells]
 
 
 class Ranked(NamedTuple):
@@ -383,48 +381,42 @@ class Ranked(NamedTuple):
     settings: dict[str, Any]  # what the grid varies
     score: float  # mean over the trials of the return
     returns: tuple[float, ...]  # of the trials
-    run_ids: tuple[str, ...]
     is_papers: bool  # whether it is the supplement's best combination
     fresh: tuple[float, ...]  # returns of trials on the seeds that the search has not used
 
 
-def ranking(
-    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
-) -> list[Ranked]:
+def ranking(study: str, budget: str | Budget, *which: int | None) -> list[Ranked]:
     """Rank the configurations of a search of which all trials are finished, the best first.
 
-    The score is the supplement's: the mean over the trials of what the trained policy returns. The
-    arguments are those of `study_configs`.
+    The score is the supplement's: the mean over the trials of what the trained policy returns.
+    `which` are numbers of trials and cells, as in `narrowed`.
     """
-    budget, found = budget_named(budget), []
-    n, searched = len(seeds_of(study, budget, n_trials)), cells(study)[:sample]
-    for cell in searched:
-        ids = tuple(cell.config(budget, seed).run_id for seed in SEARCH_SEEDS)
+    part, found = narrowed(study, budget, *which), []
+    n = len(part.seeds)
+    for cell in part.cells:
+        ids = [cell.config(budget, seed).run_id for seed in SEARCH_SEEDS]
         used, fresh = (
             tuple(float(r.evaluation["return_mean"]) for run_id in some if (r := runs.find(run_id)))
             for some in (ids[:n], ids[n:])
         )
         if len(used) == n:
-            best = cell is searched[0]
-            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, ids[:n], best, fresh))
+            best = cell is part.cells[0]
+            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, best, fresh))
     return sorted(found, key=lambda entry: -entry.score)
 
 
-def fresh_configs(
-    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
-) -> list[RunConfig]:
+def fresh_configs(study: str, budget: str | Budget, *which: int | None) -> list[RunConfig]:
     """Return a search's winner, and the supplement's best, on the seeds that it has not used.
 
-    The winner's own trials flatter it, for they have chosen it. Raises SilemError: the search is
-    not finished, or has used all seeds.
+    The winner's own trials flatter it, for they have chosen it. `which` is as for `ranking`. Raises
+    SilemError: the search is not finished, or has used all seeds.
     """
-    budget = budget_named(budget)
-    ranked = ranking(study, budget, n_trials, sample)
-    used, searched = seeds_of(study, budget, n_trials), cells(study)[:sample]
-    if len(ranked) < len(searched):
-        told = f"{len(ranked)} of {len(searched)} configurations have all their trials"
+    part, ranked = narrowed(study, budget, *which), ranking(study, budget, *which)
+    tried, n = part.cells, len(part.seeds)
+    if len(ranked) < len(tried):
+        told = f"{len(ranked)} of {len(tried)} configurations have all their trials"
         raise SilemError(f"the winner of {study} is not known yet: {told}")
-    if len(used) == len(SEARCH_SEEDS):
-        raise SilemError(f"{study} has no fresh seeds: its {len(used)} trials have used all")
-    chosen = [c for c in searched if c is searched[0] or dict(c.overrides) == ranked[0].settings]
-    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[len(used) :] for cell in chosen]
+    if n == len(SEARCH_SEEDS):
+        raise SilemError(f"{study} has no fresh seeds: its {n} trials have used all")
+    chosen = [c for c in tried if c is tried[0] or dict(c.overrides) == ranked[0].settings]
+    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[n:] for cell in chosen]

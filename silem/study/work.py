@@ -24,7 +24,7 @@ from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.runs import PROGRESS, RunRecord
 from silem.study.settings import Budget, expert_of
-from silem.study.studies import cells, experts, seeds_of
+from silem.study.studies import experts, narrowed
 from silem.util import files, paths
 from silem.util.errors import SilemError, reason
 
@@ -276,14 +276,13 @@ def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     return of
 
 
-def status(
-    study: str, budget: Budget, n_trials: int | None = None, sample: int | None = None
-) -> str:
+def status(study: str, budget: Budget, *which: int | None) -> str:
     """Return what has been done of a study: cells by trials, who is at what, failures, time left.
 
-    The arguments are those of `silem.study.studies.study_configs`.
+    `which` are numbers of trials and cells, as in `silem.study.studies.narrowed`.
     """
-    seeds, shown = seeds_of(study, budget, n_trials), cells(study)[:sample]
+    part = narrowed(study, budget, *which)
+    seeds, shown = part.seeds, part.cells
     names = [" from ".join(filter(None, (f"{c.method} {c.body}", c.demonstrations))) for c in shown]
     several = {name for name, count in Counter(names).items() if count > 1}
     rows = [[cell.config(budget, seed) for seed in seeds] for cell in shown]

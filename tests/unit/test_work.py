@@ -153,7 +153,6 @@ def test_a_search_is_ranked_by_the_mean_over_its_trials() -> None:
     assert means == [400, 350, 300]
     assert [entry.is_papers for entry in found] == [True, False, False]
     assert [entry.score for entry in found] == sorted([e.score for e in found], reverse=True)
-    assert found[0].run_ids == (configs[0].run_id, configs[4].run_id)
 
 
 def test_a_searchs_winner_is_run_again_on_seeds_that_have_not_chosen_it() -> None:
