@@ -24,7 +24,7 @@ from silem import bodies
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.settings import check_counts
+from silem.study.settings import BUDGETS, namesake
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, choose
 
@@ -361,7 +361,13 @@ def run(
     crashed = any(files.leftovers(place) for place in written)
     if not (force or crashed) and (record := finished(config)):
         return record
-    check_counts(config.budget, bodies.get(config.body).family)
+    named = namesake(config.budget, bodies.get(config.body).family)
+    differs = [n for n, count in vars(config.budget).items() if getattr(named, n) != count]
+    if differs not in ([], ["n_trials"]):  # it would pass for evidence; old records may differ
+        raise SilemError(
+            f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r};"
+            f" give it a name of its own, which begins with none of {', '.join(BUDGETS)}"
+        )
     with stoppable(), files.lock(folder / LOCK):
         for place in written:
             files.remove_leftovers(place)
