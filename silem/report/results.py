@@ -74,7 +74,7 @@ def load_records(
     planned = {plan.run_id: plan for plan in plans}
     rows, set_aside = [], []
     for record in _records(folder_of(study), budget):
-        config = record.run_config()
+        config = record.run_config
         if _is_copy(config):
             continue
         if plan := planned.get(record.run_id) or _plan(config, plans):
@@ -115,7 +115,7 @@ def _records(study: str, budget: str) -> Iterator[RunRecord]:
     folders.append(paths.results_dir(study))
     found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
     for record in (check(found[name], with_files=False) for name in sorted(found)):
-        if record.run_config().budget.base_name == budget:
+        if record.run_config.budget.base_name == budget:
             yield record
 
 

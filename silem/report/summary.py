@@ -53,7 +53,7 @@ def costs() -> pd.DataFrame:
     dates = _published()
     rows: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
     for record in records():
-        config, machine = record.run_config(), record.provenance.get("machine", {})
+        config, machine = record.run_config, record.provenance.get("machine", {})
         counted = record.processor_time_s
         taken = _plan(config) | {
             "hours": record.wall_time_s / 3600,

@@ -63,7 +63,7 @@ class RandomPolicy:
 
 def load_policy(record: RunRecord) -> Policy:
     """Return a finished run's policy, ready to `predict`; SilemError if it is not as recorded."""
-    config = record.run_config()
+    config = record.run_config
     if config.method == "random":
         return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
     policy, env = algorithms.load_policy(record.file(POLICY)), make_vec(config.learner, 1)

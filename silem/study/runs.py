@@ -93,12 +93,9 @@ class RunRecord:
         files.write_json(folder / RECORD, content)
 
     @cached_property
-    def _checked(self) -> RunConfig:
-        return RunConfig.from_dict(self.config)
-
     def run_config(self) -> RunConfig:
-        """Return the configuration, checked when it is first asked for."""
-        return self._checked
+        """The configuration, checked when it is first asked for."""
+        return RunConfig.from_dict(self.config)
 
     def file(self, name: str) -> Path:
         """Return one of the record's files; raises SilemError if it is not the recorded one."""

@@ -63,7 +63,7 @@ def check(folder: Path, *, with_files: bool = True) -> RunRecord:
 
 def _faults(record: RunRecord, name: str, with_files: bool) -> Iterator[str]:
     """Yield what is wrong with a record of that name, each in the knowledge of what precedes."""
-    config, evaluation, training = record.run_config(), record.evaluation, record.training
+    config, evaluation, training = record.run_config, record.evaluation, record.training
     if not config.run_id == record.run_id == name:
         yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
     returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
@@ -173,7 +173,7 @@ def check_source(record: RunRecord) -> None:
     Raises SilemError: the demonstrations are not those published now, or a commit is none of this
     repository's (where there is git, and the whole history).
     """
-    config = record.run_config()
+    config = record.run_config
     if config.demonstrations:
         there, sha = demos.load_published(config.demonstrations)
         if sha != record.demonstrations_sha256:
@@ -229,7 +229,7 @@ def _evaluated(record: RunRecord, n_episodes: int) -> tuple[str, str]:
     from silem.study.training import task_options
 
     torch.set_num_threads(1)
-    evaluation, config = record.evaluation, record.run_config()
+    evaluation, config = record.evaluation, record.run_config
     total = config.budget.n_eval_episodes
     n, policy, task = min(n_episodes, total), load_policy(record), task_options(config)
     with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:

@@ -221,7 +221,7 @@ def study(case: str) -> pytest.MarkDecorator:
 
 def with_policy(record: RunRecord) -> RunRecord:
     """Give a made-up record an untrained policy."""
-    config = record.run_config()
+    config = record.run_config
     env = make_vec(config.body, n_envs=1)
     model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
     env.close()

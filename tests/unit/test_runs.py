@@ -121,7 +121,7 @@ def test_what_a_run_leaves(finished: dict[str, RunRecord]) -> None:
     assert not finished["random"].files
     for record in finished.values():
         assert RunRecord.load(record.folder) == record
-        assert record.run_config().run_id == record.run_id
+        assert record.run_config.run_id == record.run_id
         assert len(record.evaluation["returns"]) == record.evaluation["n_episodes"] == 2
         text = (record.folder / RECORD).read_text()
         for private in (str(paths.REPO), str(record.folder), socket.gethostname()):

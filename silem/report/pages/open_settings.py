@@ -124,7 +124,7 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     for run_id in pd.concat([frame["run_id"] for frame in frames]).unique():
         record = results.find(run_id)
         if TRANSFORM in record.files:
-            config, arrays = record.run_config(), results.load_transform(run_id)
+            config, arrays = record.run_config, results.load_transform(run_id)
             allowed = travel_allowed(config.hyper, config.budget.n_iterations)
             largest = {"A": np.abs(arrays["A"] - 1).max(), "b": np.abs(arrays["b"]).max()}
             rows.append({"run_id": run_id, "body": config.body, "allowed": allowed} | largest)
