@@ -87,8 +87,6 @@ def outcome() -> dict[str, Any]:
     found: dict[str, Any] = {}
     for path in sorted(paths.data_dir().rglob("*")):
         name = str(path.relative_to(paths.data_dir()))
-        if path == paths.runs_dir() / path.parents[1].name / path.parent.name / RECORD:
-            continue  # a copy of the published one, which alone counts; written last, or not at all
         if path.name == RECORD:
             content = files.read_json(path)
             found[name] = [content[key] for key in ("run_id", "evaluation", "config", "files")]

@@ -20,11 +20,11 @@ from IPython.display import HTML
 from silem import bodies
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
-from silem.study.runs import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
+from silem.study.runs import CURVE, CURVE_COLUMNS, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
 from silem.study.studies import cells, experts, folder_of, narrowed, study_configs
 from silem.study.verify import check
-from silem.util import files, paths
+from silem.util import files
 from silem.util.errors import SilemError, choose
 
 _KEYS = ["body", "method", "demonstrations", "seed"]
@@ -111,9 +111,8 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
     """Yield the valid records in a study's folder at a budget, each once: published ones first."""
-    folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
-    folders.append(paths.results_dir(study))
-    found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
+    working = [] if BUDGETS[budget].is_evidence else runs.recorded(study, working=True)
+    found = {folder.name: folder for folder in (*working, *runs.recorded(study))}
     for record in (check(found[name], with_files=False) for name in sorted(found)):
         if record.run_config.budget.base_name == budget:
             yield record

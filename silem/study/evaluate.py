@@ -234,13 +234,11 @@ def demonstrate(
 def describe(name: str) -> str:
     """Say in one line what the manifest knows of demonstrations that an expert made."""
     about = demos.entry(name)
-    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f}"
-    text += " ± {return_std:.0f}"
+    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f} ± "
+    text += "{return_std:.0f}"
     if "pitch_rad" in about:
-        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s,"
-        text += (
-            " pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
-        )
+        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s, pitch"
+        text += " {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
         text += " of the time"
     return text.format(**about)
 

@@ -58,7 +58,7 @@ class RunRecord:
     status: str  #: ``"finished"``
     config: dict[str, Any]  #: `RunConfig.to_dict`
     evaluation: dict[str, Any]  #: a `silem.study.evaluate.Evaluation`
-    training: dict[str, Any]  #: ``n_steps``, ``steps_per_s``, ``disc_reward_last`` of an episode
+    training: dict[str, Any]  #: ``n_steps``, ``steps_per_s``
     provenance: dict[str, Any]  #: of the last session, and ``earlier_commits`` of those before
     demonstrations_sha256: str | None  #: of their file; None where none were used
     wall_time_s: float  #: of training and evaluation, over all sessions
@@ -106,13 +106,13 @@ class RunRecord:
 
 
 def provenance() -> dict[str, Any]:
-    """Return what the code runs on: commit, pinned environment, package versions, machine.
+    """Return what the code runs on: commit, package versions, machine.
 
-    ``git_dirty`` tells whether the package's own code differs from the commit; both are None where
-    there is no git. Processor and ``kernels`` of the libraries move a run's last bits.
+    ``git_dirty`` tells whether the package's own code, or the pinned environment, differs from the
+    commit; both are None where there is no git. Processor and ``kernels`` of the libraries move a
+    run's last bits.
     """
     status = git("status", "--porcelain", "--untracked-files=no", "--", "silem", "environment.txt")
-    root = paths.checkout()
     processor = platform.processor() or platform.machine()
     with suppress(OSError):
         found = re.search(r"^model name\s*:\s*(.*)$", Path("/proc/cpuinfo").read_text(), re.M)
@@ -120,7 +120,6 @@ def provenance() -> dict[str, Any]:
     return {
         "git_commit": git("rev-parse", "HEAD"),
         "git_dirty": None if status is None else bool(status),
-        "environment_sha256": files.sha256(root / "environment.txt") if root else None,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "machine": {"processor": processor, "cores": os.cpu_count(), "kernels": _kernels()},
@@ -194,13 +193,28 @@ def run_folder(config: RunConfig) -> Path:
     return paths.runs_dir() / config.study / config.run_id
 
 
+def _home(config: RunConfig) -> Path:
+    """Return the folder that a run's record goes to: the committed one where it is evidence."""
+    published = paths.results_dir(config.study) / config.run_id
+    return published if config.is_published else run_folder(config)
+
+
+def recorded(study: str = "*", run_id: str = "*", *, working: bool = False) -> list[Path]:
+    """Return the folders of published records, or working ones: of all, of a study, or of a run."""
+    root = paths.runs_dir() if working else paths.data_dir() / "results"
+    return sorted(path.parent for path in root.glob(f"{study}/{run_id}/{RECORD}"))
+
+
+def locate(run_id: str) -> Path | None:
+    """Return the folder of a finished run's record, published or not; None if there is none."""
+    check_name("run id", run_id, MAX_RUN_ID)
+    found = recorded(run_id=run_id) or recorded(run_id=run_id, working=True)
+    return found[0] if found else None
+
+
 def find(run_id: str) -> RunRecord | None:
     """Return a finished run's record, published or not, or None; SilemError if it is damaged."""
-    check_name("run id", run_id, MAX_RUN_ID)
-    for root in (paths.data_dir() / "results", paths.runs_dir()):
-        for path in sorted(root.glob(f"*/{run_id}/{RECORD}")):
-            return RunRecord.load(path)
-    return None
+    return RunRecord.load(folder) if (folder := locate(run_id)) else None
 
 
 def get(run_id: str) -> RunRecord:
@@ -353,10 +367,8 @@ def run(
             demonstrations are missing, too few, or not those it was made with.
         KeyboardInterrupt: On Ctrl-C or SIGTERM, or when time is up; it tells how to go on.
     """
-    folder, published = run_folder(config), paths.results_dir(config.study) / config.run_id
-    written = (folder, published)
-    crashed = any(files.leftovers(place) for place in written)
-    if not (force or crashed) and (record := finished(config)):
+    folder = run_folder(config)
+    if not force and (record := finished(config)):
         return record
     named = namesake(config.budget, bodies.get(config.body).family)
     differs = [n for n, count in vars(config.budget).items() if getattr(named, n) != count]
@@ -366,7 +378,7 @@ def run(
             f" give it a name of its own, which begins with none of {', '.join(BUDGETS)}"
         )
     with stoppable(), files.lock(folder / LOCK):
-        for place in written:
+        for place in {folder, _home(config)}:
             files.remove_leftovers(place)
         if not force and (record := finished(config)):  # by whoever held the lock
             return record
@@ -396,9 +408,9 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     start = Checkpoint.load(path, config, sha or "") if path.exists() else start
     commit = source["git_commit"] or "unknown"
     start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
-    training: dict[str, Any] = {"n_steps": 0, "steps_per_s": None, "disc_reward_last": None}
+    home, training = _home(config), {"n_steps": 0, "steps_per_s": None}
     policy: Any
-    names: list[str] = []
+    curve: np.ndarray | None = None
     with _attempt(folder, most):
         if config.method == "random":
             policy = RandomPolicy(config.learner, config.seed, config.hyper.action_std)
@@ -409,17 +421,9 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
                 curve = train(policy, config, folder, start, progress, until)
             finally:
                 env.close()
-            names = _write_outcome(folder, policy, curve, config.run_id)
-            rewards = curve[:, CURVE_COLUMNS.index("disc_reward")]
-            rewards, n_steps = rewards[~np.isnan(rewards)].tolist(), config.budget.n_steps
-            training = {
-                "n_steps": n_steps,
-                "steps_per_s": n_steps / start.spent()["wall_time_s"],
-                "disc_reward_last": rewards[-1] if rewards else None,
-            }
+            n_steps = config.budget.n_steps
+            training = {"n_steps": n_steps, "steps_per_s": n_steps / start.spent()["wall_time_s"]}
             source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
-        if demonstrations is not None:
-            source["expert_run_id"] = demonstrations.expert_run_id
         result = evaluate(
             policy, config.learner, config.budget.n_eval_episodes, progress=progress,
             model=policy if isinstance(policy, GAIfO) else None, **task_options(config),
@@ -434,33 +438,29 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         provenance=source,
         demonstrations_sha256=sha,
         **start.spent(),
-        files={name: files.sha256(folder / name) for name in names},
-        folder=folder,
+        files={} if curve is None else _write_outcome(home, policy, curve, config.run_id),
+        folder=home,
     )
-    if config.is_published:
-        published = paths.results_dir(config.study) / config.run_id
-        for name in names:
-            files.write_bytes(published / name, (folder / name).read_bytes())
-        record.save(published)
-    record.save(folder)  # last: whoever finds it finds a whole run
+    record.save(home)  # last: whoever finds it finds a whole run
     return record
 
 
-def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> list[str]:
-    """Write what a training leaves, and return the files' names."""
+def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> dict[str, str]:
+    """Write what a training leaves, and return the files' SHA-256 by name."""
     from silem.algorithms import SILEM
     from silem.algorithms.networks import AffineEnsemble, AffineTransform
 
     files.write_text(folder / CURVE, curve_csv(curve))
     model.export_policy(folder / POLICY, run_id=run_id)
     net = model.transform_net if isinstance(model, SILEM) else None
-    if not isinstance(net, AffineTransform):
-        return [CURVE, POLICY]
-    arrays = net.mean()
-    if isinstance(net, AffineEnsemble):
-        arrays |= {name: x.detach().cpu().numpy() for name, x in net.state_dict().items()}
-    files.write_npz(folder / TRANSFORM, arrays)
-    return [CURVE, POLICY, TRANSFORM]
+    names = [CURVE, POLICY]
+    if isinstance(net, AffineTransform):
+        arrays = net.mean()
+        if isinstance(net, AffineEnsemble):
+            arrays |= {name: x.detach().cpu().numpy() for name, x in net.state_dict().items()}
+        files.write_npz(folder / TRANSFORM, arrays)
+        names.append(TRANSFORM)
+    return {name: files.sha256(folder / name) for name in names}
 
 
 def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str | None]:

@@ -269,7 +269,6 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
 
     Raises SilemError: there is nothing of this name.
     """
-    results, record = paths.data_dir() / "results", runs.RECORD
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
     for published in demos.manifest() if name is None else ():
@@ -279,10 +278,10 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
         except SilemError as error:
             outcome, why = NOT, str(error)
         yield Verdict(f"demonstrations {published}", outcome, why)
-    found = sorted(results.glob(f"{name or '*'}/*/{record}"))
-    found = found or sorted(results.glob(f"*/{name}/{record}"))
-    found = found or sorted(paths.runs_dir().glob(f"*/{name}/{record}"))
+    found = runs.recorded(name or "*")
     if name is not None and not found:
-        raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
-    for path in found:
-        yield verify(path.parent, n_episodes)
+        if (folder := runs.locate(name)) is None:
+            raise SilemError(f"no run and no study {name!r} has a record in {paths.data_dir()}")
+        found = [folder]
+    for folder in found:
+        yield verify(folder, n_episodes)

@@ -107,12 +107,10 @@ def write_record(
         training={
             "n_steps": 0 if config.method == "random" else config.budget.n_steps,
             "steps_per_s": None if config.method == "random" else 2400.0,
-            "disc_reward_last": disc_reward if imitates else None,
         },
         provenance={
             "git_commit": commit,
             "git_dirty": False,
-            "environment_sha256": "0" * 64,
             "packages": {},
             "python": "3.11",
             "earlier_commits": [],
