@@ -1,7 +1,6 @@
 """HC0, HC1 and HC2: HalfCheetah with a torso of length 1, 2 and 3 (Figure 2a)."""
 
 from functools import partial
-from itertools import product
 
 from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
 
@@ -60,43 +59,3 @@ NAMED = {"HC-#": body}
 """Bodies that are named by a number in the place of #: this one by the length of its torso in m."""
 
 BODIES = {name: partial(body, name, length) for name, length in TORSO_LENGTHS_M.items()}
-
-
-def nose_touch_pitch_rad(body: BulletBody) -> tuple[float, float]:
-    """Return the pitches at which a body's nose touches the floor, its back foot standing on it.
-
-    The first is with the back leg as the model draws it, all joints at zero; the second with it put
-    down as far as its joints' limits let it: no state with the back foot on the floor pitches
-    further. They follow from the geometry alone; the nose is the lowest of torso and head.
-    """
-    import mujoco
-    import numpy as np
-    from scipy import optimize
-
-    from silem.bodies.measure import spec
-
-    model = spec(body).compile()
-    data = mujoco.MjData(model)
-
-    def ends(geom: str) -> np.ndarray:
-        """Return the centres of a capsule's round ends, (2, 2): x and z."""
-        along = data.geom(geom).xmat.reshape(3, 3)[:, 2] * model.geom(geom).size[1]
-        return (data.geom(geom).xpos + np.stack([along, -along]))[:, [0, 2]]
-
-    mujoco.mj_kinematics(model, data)
-    nose, legs = np.concatenate([ends("torso"), ends("head")]), [ends("bfoot")]
-    joints = [model.joint(name) for name in ("bthigh", "bshin", "bfoot")]
-    ranges = [np.linspace(low, high, 15) for low, high in (joint.range for joint in joints)]
-    for angles in product(*ranges):
-        data.qpos[[joint.qposadr[0] for joint in joints]] = angles
-        mujoco.mj_kinematics(model, data)
-        legs.append(ends("bfoot"))
-
-    def touch(feet: np.ndarray) -> float:
-        def clearance(pitch: float) -> float:  # all capsules are equally thick
-            up = np.array([-np.sin(pitch), np.cos(pitch)])
-            return float((nose @ up).min() - (feet @ up).min())
-
-        return float(optimize.brentq(clearance, 0.0, np.pi / 2))
-
-    return touch(legs[0]), touch(np.concatenate(legs))

@@ -40,8 +40,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
 
     A line is the mean over a cell's trials, its band from `scores.INTERVAL_TRIALS` on Student's
     95 % interval of it at each step, else their minimum and maximum, all after a running mean, up
-    to where the shortest ends; runs of another number of iterations than planned are dashed.
-    Experts have no row for the discriminator; bodies that fall have one for when.
+    to where the shortest ends. Experts have no row for the discriminator; bodies that fall have one
+    for when.
     """
     frame = scores.runs_of("learning_curves", frame)
     names = results.body_names(frame)
@@ -55,10 +55,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     for (row, quantity), (column, body) in product(enumerate(quantities), enumerate(names)):
         axes = grid[row, column]
         for method in drawn:
-            for run in results.stand_ins(frame, method, body)["run_id"]:
-                _draw_mean(axes, [curves[run]], quantity, method, lw=1.2, ls=_DASHES[1])
             trials = [curves[run] for run in results.cell(frame, method, body)["run_id"]]
-            _draw_mean(axes, trials, quantity, method, lw=1.5)
+            _draw_mean(axes, trials, quantity, method)
         axes.margins(x=0.01)
         axes.xaxis.set_major_locator(MaxNLocator(4 if len(names) < 5 else 2))
         if not axes.lines:
@@ -72,14 +70,11 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
             column[-1].set_xlabel("million timesteps")
     grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
     figure.align_labels()
-    counts = frame[~frame["stand_in"]].groupby(["method", "body"]).size()
+    counts = frame.groupby(["method", "body"]).size()
     several = " to ".join(dict.fromkeys(str(n) for n in (counts.min(), counts.max())))
     bands = f"bands: minimum to maximum, from {scores.INTERVAL_TRIALS} trials on a 95 % t interval"
     note = f"trials per curve: {several if len(counts) else 0}; {bands}"
-    handles = _handles(drawn, frame)
-    if frame["stand_in"].any():
-        handles.append(style.handle(style.MUTED, scores.OTHER_LENGTH, ls=_DASHES[1]))
-    return scores.finish(figure, frame, handles, note)
+    return scores.finish(figure, frame, _handles(drawn, frame), note)
 
 
 def rises(frame: pd.DataFrame) -> list[bool]:
@@ -174,9 +169,7 @@ def _handles(methods: Sequence[str], frame: pd.DataFrame) -> list[Line2D]:
     return [style.handle(look.color, look.label, lw=2.2) for look in looks]
 
 
-def _draw_mean(
-    axes: Axes, trials: Sequence[pd.DataFrame], quantity: str, method: str, **look: Any
-) -> None:
+def _draw_mean(axes: Axes, trials: Sequence[pd.DataFrame], quantity: str, method: str) -> None:
     """Draw the mean of those trials that know a quantity, and their range, on one grid of steps."""
     known = [curve[["timesteps", quantity]].dropna() for curve in trials]
     known = [curve for curve in known if len(curve)]
@@ -190,7 +183,7 @@ def _draw_mean(
         np.interp(x, curve["timesteps"], means[quantity])
         for curve, means in zip(known, smooth, strict=True)
     ]
-    axes.plot(x / 1e6, np.mean(values, axis=0), color=color, **look)
+    axes.plot(x / 1e6, np.mean(values, axis=0), color=color, lw=1.5)
     if len(values) > 1:
         span: Any = np.min(values, axis=0), np.max(values, axis=0)
         if len(values) >= scores.INTERVAL_TRIALS:

@@ -178,13 +178,14 @@ def play_trials(
     if why := why_no_pictures(body):
         return note(f"No videos of {body}: {why}")
     chosen, absent = {}, []
-    first = records[records["body"].eq(body) & records["seed"].eq(TRIAL_SEEDS[0])]
+    first = records[records["seed"].eq(TRIAL_SEEDS[0])]
     for method in methods:
-        runs, original = first[first["method"] == method], results.original_body(records)
-        if runs.empty:
-            absent.append(style.method(method, original).name)
-        for run in runs.itertuples():
-            chosen[style.of_run(run, original)] = results.find(run.run_id)
+        name = style.method(method, results.original_body(records)).name
+        runs = results.cell(first, method, body)["run_id"]
+        if len(runs):
+            chosen[name] = results.find(runs.iloc[0])
+        else:
+            absent.append(name)
     if chosen:
         clips = films.of_runs(chosen, duration_s)
         play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")

@@ -7,7 +7,6 @@ as missing and runs of other settings as set aside; neither is passed over in si
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import chain
@@ -31,8 +30,8 @@ _KEYS = ["body", "method", "demonstrations", "seed"]
 _EVALUATED = ["return_mean", "speed_m_s", "upright"]
 COLUMNS = [
     *_KEYS, "run_id", "command", *_EVALUATED, "steps", "disc_reward", "n_iterations",
-    "planned_iterations", "stand_in", "n_steps", "wall_time_s", "processor_time_s", "commit",
-    "dirty", "returns", "folder", "expert_return", "normalised",
+    "n_steps", "wall_time_s", "processor_time_s", "commit", "dirty", "returns", "expert_return",
+    "normalised",
 ]  # fmt: skip
 PAPER_LOSS = {
     "halfcheetah": "no-gradient-penalty", "humanoids": "humanoids-no-gradient-penalty",
@@ -56,10 +55,9 @@ def load_records(
 
     At the budgets whose runs are evidence only the published records count, and only the seeds
     fixed beforehand; at the smaller ones also the working folder's, with any seed. The random
-    policy counts once per body, because every evaluation meets the same episodes. The longest run
-    that differs from a missing one in its number of iterations alone stands in for it
-    (``stand_in``); `cell` leaves it out. A search, STUDY/BODY/METHOD, is a study too: `which` is
-    what else `study_configs` takes, and `n_iterations`, if not 0, stands for the budget's.
+    policy counts once per body, because every evaluation meets the same episodes. A search,
+    STUDY/BODY/METHOD, is a study too: `which` is what else `study_configs` takes, and
+    `n_iterations`, if not 0, stands for the budget's.
 
     Returns:
         `COLUMNS`. ``return_mean`` is the ground-truth return over the evaluation episodes,
@@ -71,24 +69,18 @@ def load_records(
     choose("budget", budget, BUDGETS)
     sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]
     plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
-    planned = {plan.run_id: plan for plan in plans}
-    rows, set_aside = [], []
+    planned, rows, set_aside = {plan.run_id for plan in plans}, [], []
     for record in _records(folder_of(study), budget):
         config = record.run_config
         if _is_copy(config):
             continue
-        if plan := planned.get(record.run_id) or _plan(config, plans):
-            rows.append(_row(record, config, plan))
+        if record.run_id in planned or _is_of_other_seed(config, plans):
+            rows.append(_row(record, config))
         else:
             set_aside.append(record.run_id)
-    found = pd.DataFrame(rows, columns=["plan", *COLUMNS[:-2]])
-    kinds = {"stand_in": bool} | dict.fromkeys(("disc_reward", "steps", "processor_time_s"), float)
-    found = found.astype(kinds)
-    # of each plan the run that was planned, else the longest
-    found = found.sort_values(["stand_in", "n_iterations"], ascending=[True, False])
-    frame = found.drop_duplicates("plan")
-    set_aside += list(found.drop(frame.index)["run_id"])
-    frame = frame.drop(columns="plan").sort_values(_KEYS, key=_order).reset_index(drop=True)
+    frame = pd.DataFrame(rows, columns=COLUMNS[:-2])
+    frame = frame.astype(dict.fromkeys(("disc_reward", "steps", "processor_time_s"), float))
+    frame = frame.sort_values(_KEYS, key=_order, ignore_index=True)
     made = set(frame["run_id"])
     missing = _Kept(_keys(plan) for plan in plans if plan.run_id not in made)
     frame = _with_scores(frame, study, budget)
@@ -123,46 +115,38 @@ def _is_copy(config: RunConfig) -> bool:
     return config.method == "random" and config.seed != TRIAL_SEEDS[0]
 
 
-def _plan(config: RunConfig, plans: Sequence[RunConfig]) -> RunConfig | None:
-    """Return the plan of a run of any number of iterations, of any seed where it is no evidence."""
-    for plan in plans:
-        if (plan.method, plan.body) == (config.method, config.body):
-            if not plan.budget.is_evidence:
-                plan = dataclasses.replace(plan, seed=config.seed)
-            resized = plan.budget.with_iterations(config.budget.n_iterations)
-            if config.run_id in (plan.run_id, dataclasses.replace(plan, budget=resized).run_id):
-                return plan
-    return None
+def _is_of_other_seed(config: RunConfig, plans: Sequence[RunConfig]) -> bool:
+    """Tell whether a run that is no evidence is a planned one but for its seed."""
+    alike = (p for p in plans if (p.method, p.body) == (config.method, config.body))
+    return not config.budget.is_evidence and any(
+        dataclasses.replace(plan, seed=config.seed).run_id == config.run_id for plan in alike
+    )
 
 
 def _keys(config: RunConfig) -> dict[str, Any]:
     return {name: getattr(config, name) for name in (*_KEYS, "run_id", "command")}
 
 
-def _row(record: RunRecord, config: RunConfig, plan: RunConfig) -> dict[str, Any]:
+def _row(record: RunRecord, config: RunConfig) -> dict[str, Any]:
     evaluation, source = record.evaluation, record.provenance
     return _keys(config) | {
-        "plan": plan.run_id,
         **{name: evaluation[name] for name in _EVALUATED},
         "steps": evaluation.get("steps_mean", np.nan),
         "disc_reward": evaluation["disc_reward_mean"],
         "n_iterations": config.budget.n_iterations,
-        "planned_iterations": plan.budget.n_iterations,
-        "stand_in": record.run_id != plan.run_id,
         "n_steps": record.training["n_steps"],
         "wall_time_s": record.wall_time_s,
         "processor_time_s": record.processor_time_s,
         "commit": source["git_commit"] or "unknown",
         "dirty": source["git_dirty"],
         "returns": tuple(evaluation["returns"]),
-        "folder": str(record.folder),
     }
 
 
 def _with_scores(frame: pd.DataFrame, study: str, budget: str) -> pd.DataFrame:
     """Add the level of each body's experts, which another study may have trained, and the ratio."""
     if any(cell.method == "ppo" for cell in cells(study)):
-        known = frame[frame["method"].eq("ppo") & ~frame["stand_in"]]
+        known = frame[frame["method"].eq("ppo")]
     else:
         plans = chain.from_iterable(experts(body, budget) for body in frame["body"].unique())
         found = [(plan.body, runs.find(plan.run_id)) for plan in plans]
@@ -203,8 +187,8 @@ def context(frame: pd.DataFrame) -> tuple[str, str]:
 
 
 def trained(frame: pd.DataFrame) -> pd.DataFrame:
-    """Keep the runs that were trained for as long as planned."""
-    return frame[(frame["method"] != "random") & ~frame["stand_in"]]
+    """Keep the runs that were trained."""
+    return frame[frame["method"] != "random"]
 
 
 def describe(frame: pd.DataFrame) -> str:
@@ -217,8 +201,6 @@ def describe(frame: pd.DataFrame) -> str:
         listing = ", ".join(f"{body} {count:,}" for body, count in by_body.items())
         parts[0] += f" (iterations: {listing})"
     parts.append(f"{len(frame)} run{'' if len(frame) == 1 else 's'}")
-    if n_others := int(frame["stand_in"].sum()):
-        parts.append(f"{n_others} of them of another length than planned")
     if frame.attrs["missing"]:
         parts.append(f"{len(frame.attrs['missing'])} of the planned runs not made yet")
     return ", ".join(parts)
@@ -295,30 +277,21 @@ def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
 
 
 def select(
-    frame: pd.DataFrame,
-    methods: Sequence[str],
-    names: Sequence[str] | None = None,
-    *,
-    with_stand_ins: bool = True,
+    frame: pd.DataFrame, methods: Sequence[str], names: Sequence[str] | None = None
 ) -> pd.DataFrame:
     """Keep some methods' runs, and some bodies' (None: all), and so of the missing runs."""
     shown = list(names or body_names(frame))
     kept = frame["method"].isin(methods) & frame["body"].isin(shown)
-    narrowed = frame[kept & (with_stand_ins | ~frame["stand_in"])].reset_index(drop=True)
+    narrowed = frame[kept].reset_index(drop=True)
     missing = frame.attrs["missing"]
     missing = _Kept(r for r in missing if r["method"] in methods and r["body"] in shown)
     narrowed.attrs = frame.attrs | {"missing": missing, "bodies": shown}
     return narrowed
 
 
-def cell(frame: pd.DataFrame, method: str, body: str, *, stand_ins: bool = False) -> pd.DataFrame:
-    """Return the rows of one cell, one per trial, or those that stand in for missing ones."""
-    rows = frame["method"].eq(method) & frame["body"].eq(body)
-    return frame[rows & frame["stand_in"].eq(stand_ins)]
-
-
-stand_ins = functools.partial(cell, stand_ins=True)
-"""One cell's runs of another number of iterations, in place of missing ones."""
+def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
+    """Return the rows of one cell, one per trial."""
+    return frame[frame["method"].eq(method) & frame["body"].eq(body)]
 
 
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:

@@ -25,7 +25,6 @@ from silem.util.errors import SilemError, choose
 INTERVAL_TRIALS = 5
 """Trials below which no figure draws an interval."""
 
-OTHER_LENGTH = "shorter or longer run"
 IMITATORS = ("silem", "silem-minus", "silem-minus-own")
 """The groups of Figures 2b and 2d, in the paper's order."""
 
@@ -42,8 +41,6 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "by_feature": (("silem",), None),
     "humanoid_scores": (("ppo", *COMPARED), ("Atlas", "Humanoid", "HumanoidR")),
 }
-# The figures that mark runs of another number of iterations; the others leave them out.
-_WITH_STAND_INS = ("learning_curves", "humanoid_scores", "by_feature")
 _MEAN: dict[str, Any] = {"color": style.MUTED, "lw": 1, "ls": style.DASHED}
 _DOTTED: dict[str, Any] = {"color": style.INK, "lw": 1.5, "ls": (0, (1, 1.5))}
 _LEVELS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -80,7 +77,7 @@ def runs_of(figure: str, frame: pd.DataFrame) -> pd.DataFrame:
             f"{figure} shows {', '.join(names)}; the runs of study {study!r} are of"
             f" {', '.join(sorted(known))}"
         )
-    shown = results.select(frame, methods, names, with_stand_ins=figure in _WITH_STAND_INS)
+    shown = results.select(frame, methods, names)
     shown.attrs["figure"] = figure
     return shown
 
@@ -190,9 +187,6 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     grid[2].axhline(speed, **_DOTTED)
     levels.append(style.handle(label=f"demonstrator, {speed:g} m/s", **_DOTTED))
     note = interval_note(frame, COMPARED, "return_mean")
-    if frame["stand_in"].any():
-        levels.append(style.handle(style.MUTED, OTHER_LENGTH, ls="none", marker="x", mew=1.8))
-        note += "; ×: a run of another number of iterations, written below it; outside every mean"
     return finish(figure, frame, methods_of(frame, COMPARED) + levels, note, ncols=4)
 
 
@@ -263,7 +257,7 @@ def against(
     for axes, column in zip(grid, columns, strict=True):
         axes.set_xlabel(label)
         for method in methods:
-            known = frame[(frame["method"] == method) & ~frame["stand_in"]].dropna(subset=column)
+            known = frame[frame["method"] == method].dropna(subset=column)
             groups = known.groupby(places[known.index])[column]
             for place, values in groups:
                 draw_trials(axes, place, values.to_numpy(), method)
@@ -278,29 +272,19 @@ def against(
 
 
 def draw_cells(axes: Axes, frame: pd.DataFrame, panel: Panel) -> None:
-    """Draw every cell of a panel; one without values is an empty slot with the reason.
-
-    Runs of another number of iterations than planned are crosses in either case.
-    """
+    """Draw every cell of a panel; one without values is an empty slot with the reason."""
     small: dict[str, Any] = {"ha": "center", "fontsize": 7 if len(panel.methods) > 3 else 7.5}
     plate: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.7}
     for x, method, body in _places(frame, panel.methods):
         values = results.scores(frame, method, body, panel.column)
-        others = results.stand_ins(frame, method, body).dropna(subset=panel.column)
-        if len(values):
-            draw_trials(axes, x, values, method)
-        elif others.empty:
+        if not len(values):
             style.empty_slot(axes, x, _reason(frame, method, body))
-        crosses: dict[str, Any] = {"ms": 6.5, "mew": 1.8, "zorder": 5}
-        crosses["color"] = style.method(method).color
-        axes.plot(np.full(len(others), x), others[panel.column], "x", **crosses)
-        lines = [f"n={len(values)}"] if len(values) else []
-        if lengths := sorted(others["n_iterations"].unique()):
-            lines.append("× " + ", ".join(f"{n:,}" for n in lengths))
-        if panel.counts and lines:
+            continue
+        draw_trials(axes, x, values, method)
+        if panel.counts:
             place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
-            axes.text(x, 0.025, "\n".join(lines), bbox=plate, **place, **small)
-        if panel.means and len(values):
+            axes.text(x, 0.025, f"n={len(values)}", bbox=plate, **place, **small)
+        if panel.means:
             above: dict[str, Any] = {"xytext": (0, 6), "textcoords": "offset points"}
             above |= small | {"color": style.INK, "bbox": plate | {"alpha": 0.8}}
             axes.annotate(style.number(values.mean()), (x, values.max()), **above)

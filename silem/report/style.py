@@ -93,12 +93,6 @@ def method(name: str, original: str = "HC0", *, short: bool = False) -> MethodSt
     return chosen._replace(label=label.partition(" (")[0] if short else label)
 
 
-def of_run(run: Any, original: str) -> str:
-    """Return the name of a run's method, with the iterations of a row that stands in for others."""
-    length = f", {run.n_iterations:,} iterations" if run.stand_in else ""
-    return method(run.method, original).name + length
-
-
 def body_color(index: int, count: int) -> str:
     """Return the colour of body `index` of `count`, light to dark."""
     return to_hex(_LIGHT + index / max(count - 1, 1) * (_DARK - _LIGHT))

@@ -340,7 +340,7 @@ class ResultsFigure(SphinxDirective):
         name, study = self.arguments
         whole, trained = results.load_records(study, "book"), [*METHODS]
         trained.remove("random")
-        shown = results.select(whole, trained, with_stand_ins=name == "learning_curves")
+        shown = results.select(whole, trained)
         shown.attrs["figure"] = name
         caption, file = " ".join(self.content), f"figures/{name}-{study}.svg"
         path = Path(self.env.srcdir) / "book" / file

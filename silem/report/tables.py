@@ -112,30 +112,23 @@ def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and time.
 
     The second score is against the body's best expert, who demonstrates, not against their mean.
-    Runs of another number of iterations than planned stand in rows of their own.
     """
     rows, original = [], results.original_body(frame)
     lasts = results.can_fall(frame) and original  # Ants' episodes end, others do not or say a share
     upright = results.upright_label(frame).removeprefix("share of ")
     cells = itertools.product(results.body_names(frame), style.METHODS)
     for body, method in ((b, m) for b, m in cells if results.is_planned(frame, m, b)):
-        label = style.method(method, original).label
-        shown = [(label, results.cell(frame, method, body))]
-        for n, runs in results.stand_ins(frame, method, body).groupby("n_iterations"):
-            planned = runs["planned_iterations"].iloc[0]
-            shown.append((f"{label}, {n:,} iterations (planned: {planned:,})", runs))
-        best = results.against_best(frame, method, body)
-        for words, runs in shown:
-            row = {"body": body, "method": words, "trials": len(runs)}
-            row["return"] = _mean(runs["return_mean"], spread=True)
-            if lasts:
-                row["steps"] = _mean(runs["steps"], spread=True)
-            row["score"] = _mean(runs["normalised"], 2, spread=True)
-            row["score, best expert"] = _mean(best if words == label else [], 2)
-            row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
-            if not lasts:
-                row[upright] = _mean(100 * runs["upright"], 0, " %")
-            row["discriminator reward"] = _mean(runs["disc_reward"])
-            row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
-            rows.append(row)
+        runs, label = results.cell(frame, method, body), style.method(method, original).label
+        row = {"body": body, "method": label, "trials": len(runs)}
+        row["return"] = _mean(runs["return_mean"], spread=True)
+        if lasts:
+            row["steps"] = _mean(runs["steps"], spread=True)
+        row["score"] = _mean(runs["normalised"], 2, spread=True)
+        row["score, best expert"] = _mean(results.against_best(frame, method, body), 2)
+        row["speed (m/s)"] = _mean(runs["speed_m_s"], 2)
+        if not lasts:
+            row[upright] = _mean(100 * runs["upright"], 0, " %")
+        row["discriminator reward"] = _mean(runs["disc_reward"])
+        row["wall time (min)"] = _mean(runs["wall_time_s"] / 60, 1)
+        rows.append(row)
     return styled(pd.DataFrame(rows))

@@ -92,14 +92,13 @@ def by_feature(frame: pd.DataFrame) -> Figure:
 
     They are those of the best policies, at most as many as the paper shows, each a small mark.
     Lines join the features of a group, and stripes lie under those of a humanoid's arms, which
-    HumanoidR's asymmetry touches; an upright stroke is what is `expected` by the limbs' lengths. A
-    run of another number of iterations than planned is a cross and enters no mean.
+    HumanoidR's asymmetry touches; an upright stroke is what is `expected` by the limbs' lengths.
     """
     frame = scores.runs_of("by_feature", frame)
     names, handles, n_best = results.body_names(frame), [], paper.number("best_policies_shown")
     figure, panels, rows = sheet(names[0], 6.4)
     for index, body in enumerate(names):
-        runs, others = (of(frame, "silem", body) for of in (results.cell, results.stand_ins))
+        runs = results.cell(frame, "silem", body)
         best = runs.sort_values("return_mean", ascending=False).head(n_best)
         look: dict[str, Any] = {"color": style.body_color(index, len(names))}
         look |= {"marker": _MARKERS[index], "mec": "white"}
@@ -109,15 +108,12 @@ def by_feature(frame: pd.DataFrame) -> Figure:
             for trial in values if len(values) > 1 else ():
                 small = {"ls": "none", "ms": 2.5, "alpha": 0.45, "mec": "none"}
                 axes.plot(trial, places, **look | small)
-            for other in _values(others, entry):
-                axes.plot(other, places, "x", color=look["color"], ms=3.5)
             for group in feature_groups(body) if len(values) else ():
                 columns = list(group.columns)
                 axes.plot(values.mean(axis=0)[columns], places[columns], ms=5, lw=0.8, **look)
         if np.isfinite(hoped := expected(body)).any():
             panels["A"].plot(hoped, places, "|", color=look["color"], ms=8, mew=2)
-        words = "".join(f"; ×: {n:,} iterations" for n in others["n_iterations"])
-        label = f"{body}, {style.trials(len(best))}{words}"
+        label = f"{body}, {style.trials(len(best))}"
         handles.append(style.handle(label=label, ms=7, ls="none", **look))
     for axes in panels.values() if frame.empty else ():
         style.say(axes, "no run")
@@ -189,7 +185,7 @@ def against(
 
     Dots are trials, lines their means.
     """
-    runs = results.select(frame, ["silem"], list(x), with_stand_ins=False)
+    runs = results.select(frame, ["silem"], list(x))
     figure, grid = style.panels([title for title, _ in _ENTRIES.values()], 2.8, sharex=True)
     known = feature_names(next(iter(x)))
     for axes, (entry, (_, neutral)) in zip(grid, _ENTRIES.items(), strict=True):

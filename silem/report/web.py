@@ -217,7 +217,7 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
             named = {"run_id": run, "feature": feature_names(body)}
             parts.append(pd.DataFrame(named | {name: learned[name] for name in ("A", "b")}))
         return pd.concat(parts, ignore_index=True)
-    return frame.drop(columns=["returns", "folder"])
+    return frame.drop(columns=["returns"])
 
 
 # ---------------------------------------------------------------- all of them

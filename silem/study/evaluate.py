@@ -237,7 +237,9 @@ def describe(name: str) -> str:
     text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f} ± "
     text += "{return_std:.0f}"
     if "pitch_rad" in about:
-        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s, pitch"
+        text += (
+            ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s, pitch"
+        )
         text += " {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
         text += " of the time"
     return text.format(**about)

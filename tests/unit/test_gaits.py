@@ -11,7 +11,6 @@ from drawn import assert_readable, lines_at, texts
 from scipy import stats
 
 from silem import bodies
-from silem.bodies.half_cheetah import nose_touch_pitch_rad
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
 from silem.report import results, style
@@ -215,7 +214,7 @@ def test_a_line_stands_where_the_nose_touches_the_floor(data: Path) -> None:
     pitches = sorted(PITCHES.values())
     for axes, body in zip(gaits.imitated(records, shown).axes[:2], ("HC1", "HC2"), strict=True):
         (line,) = lines_at(axes, style.WARNING)
-        pitch, stretched = nose_touch_pitch_rad(bodies.get(body))
+        pitch, stretched = gaits.nose_touch_pitch_rad(bodies.get(body))
         # HC0_s0 to HC0_s4 pitch by 0.0 to 0.4, a tenth from slot to slot
         assert line.get_xdata()[0] == pytest.approx(np.interp(pitch, pitches, range(5)))
         assert line.get_xdata()[0] == pytest.approx(10 * pitch, abs=0.01)
@@ -225,7 +224,7 @@ def test_a_line_stands_where_the_nose_touches_the_floor(data: Path) -> None:
 
 def test_the_pitch_of_a_nose_on_the_floor_follows_from_the_geometry() -> None:
     at_rest, stretched = (
-        [nose_touch_pitch_rad(bodies.get(name))[index] for name in ("HC0", "HC1", "HC2")]
+        [gaits.nose_touch_pitch_rad(bodies.get(name))[index] for name in ("HC0", "HC1", "HC2")]
         for index in (0, 1)
     )
     # A leg of 0.62 m that hangs on the end of 2 m and 3 m of torso: 0.28 and 0.18 rad, about.

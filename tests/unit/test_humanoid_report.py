@@ -10,19 +10,16 @@ import numpy as np
 import pandas as pd
 import pytest
 import synthetic_records as synthetic
-from drawn import assert_readable, footer, lines_at, texts
+from drawn import assert_readable, lines_at, texts
 
 from silem.motion.features import FEATURES
-from silem.report import claims, curves, results, scores, style, tables, transforms
+from silem.report import claims, curves, results, scores, style, transforms
 from silem.report.scores import humanoid_scores
 from silem.report.transforms import feature_groups, feature_names
 from silem.study import studies as plans
 from silem.study.config import RunConfig
-from silem.study.runs import RunRecord
 from silem.util.errors import SilemError
 
-PLANNED = RunConfig.create("Atlas", "ppo", budget="book").budget.n_iterations
-HALF, MOST = PLANNED // 2, PLANNED * 3 // 4
 CASES = ("whole", "partial", "single", "empty")
 FIGURES = {
     "humanoid_scores": humanoid_scores,
@@ -44,15 +41,6 @@ def planned(method: str, body: str, seed: int = 0) -> RunConfig:
     return cell.config("book", seed)
 
 
-def write_other(
-    method: str, body: str, n_iterations: int, return_mean: float, seed: int = 0
-) -> RunRecord:
-    """Write a run that differs from the planned one in its number of iterations alone."""
-    plan = planned(method, body, seed)
-    budget = plan.budget.with_iterations(n_iterations)
-    return synthetic.write_record(dataclasses.replace(plan, budget=budget), return_mean)
-
-
 def make(case: str, folder: Path) -> pd.DataFrame:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SILEM_DATA_DIR", str(folder))
@@ -64,9 +52,6 @@ def make(case: str, folder: Path) -> pd.DataFrame:
             few = {("silem", "HumanoidR"): 0, ("tpil", "Atlas"): 0, ("peng20", "Humanoid"): 1}
             few |= {("ppo", "Atlas"): 0, ("silem-minus", "HumanoidR"): 0}
             synthetic.write_study(n_trials=3, study="humanoids", without=few)
-            write_other("silem", "HumanoidR", MOST, 430.0)
-            write_other("tpil", "Atlas", HALF, 200.0)
-            write_other("peng20", "Humanoid", HALF, 500.0, seed=1)
         return results.load_records("humanoids", "book")
 
 
@@ -116,33 +101,6 @@ def test_single_trials_are_hollow(frame: pd.DataFrame) -> None:
     assert texts(score.figure).count("n=1") == 12
 
 
-@synthetic.study("partial")
-def test_runs_of_other_lengths_are_crosses_and_enter_no_mean(
-    frame: pd.DataFrame,
-) -> None:
-    figure = humanoid_scores(frame)
-    crosses = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
-    shown = sorted(float(y) for line in crosses for y in line.get_ydata())
-    assert shown == sorted(frame.loc[frame["stand_in"], "return_mean"])
-    assert len(results.scores(frame, "peng20", "Humanoid", "return_mean")) == 1
-    words = texts(figure)
-    assert {f"× {MOST:,}", f"× {HALF:,}", f"n=1\n× {HALF:,}"} <= set(words)
-    assert "3 of them of another length" in footer(figure)
-    assert "another number of iterations" in footer(figure)
-
-
-@synthetic.study("partial")
-def test_runs_of_other_lengths_are_dashed_curves(frame: pd.DataFrame) -> None:
-    figure = curves.learning_curves(frame)
-    by_title = {axes.get_title(loc="left"): axes for axes in figure.axes[:3]}
-    (silem,) = lines_at(by_title["HumanoidR"], style.METHODS["silem"].color)
-    assert silem.get_linestyle() == "--"
-    (whole,) = lines_at(by_title["Humanoid"], style.METHODS["silem"].color)
-    assert whole.get_linestyle() == "-"
-    assert silem.get_xdata()[-1] == pytest.approx(0.75 * whole.get_xdata()[-1], rel=0.01)
-    assert "steps before a fall" in texts(figure)
-
-
 def test_figure_4_draws_means_joined_by_group_and_every_policy(frame: pd.DataFrame) -> None:
     axes = transforms.by_feature(arms(frame)).axes[0]
     runs = results.cell(frame, "silem", "HumanoidR")["run_id"]
@@ -168,15 +126,6 @@ def test_figure_4_shows_the_best_policies(
     offsets = results.load_transform(best)["b"]
     assert len(drawn) == len(feature_groups("Humanoid"))
     assert np.array_equal(drawn[0].get_xdata(), offsets[:3])
-
-
-@synthetic.study("partial")
-def test_a_run_of_another_length_is_crosses_in_figure_4(frame: pd.DataFrame) -> None:
-    figure = transforms.by_feature(arms(frame))
-    drawn = lines_at(figure.axes[0], style.body_color(1, 2))
-    assert drawn and {line.get_marker() for line in drawn} == {"x", "|"}
-    (label,) = [word for word in texts(figure) if word.startswith("HumanoidR")]
-    assert label == f"HumanoidR, no run; ×: {MOST:,} iterations"
 
 
 def test_figures_of_other_bodies_are_refused(
@@ -218,19 +167,6 @@ def test_humanoid_features_are_named_with_their_units() -> None:
         for column, label in zip(group.columns, group.labels, strict=True):
             assert FEATURES[column].unit == group.unit
             assert sorted(FEATURES[column].label.split()) == sorted(f"{group.name} {label}".split())
-
-
-# ---------------------------------------------------------------- tables
-
-
-@synthetic.study("partial")
-def test_tables_tell_runs_of_other_lengths_apart(frame: pd.DataFrame) -> None:
-    cells = tables.cell_table(frame).data
-    assert len(cells) == 18 + 3
-    (row,) = cells[cells["method"].str.startswith("SILEM, ")].itertuples()
-    assert row.method == f"SILEM, {MOST:,} iterations (planned: {PLANNED:,})"
-    whole = cells[(cells["method"] == "SILEM") & (cells["body"] == "HumanoidR")]
-    assert whole["trials"].item() == 0
 
 
 # ---------------------------------------------------------------- verdicts
@@ -321,17 +257,17 @@ def test_nothing_is_decided_on_one_trial(frame: pd.DataFrame) -> None:
     assert set(verdicts(frame)) == {claims.UNDECIDED}
 
 
-def test_runs_of_other_lengths_decide_nothing(
+def test_a_run_of_another_number_of_iterations_is_set_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    for method, body, seed in itertools.product(("silem", "tpil"), synthetic.HUMANOIDS, range(3)):
-        write_other(method, body, HALF, 900.0 if method == "silem" else 100.0, seed)
+    plan = planned("ppo", "Atlas")
+    budget = plan.budget.with_iterations(plan.budget.n_iterations // 2)
+    short = synthetic.write_record(dataclasses.replace(plan, budget=budget), 600.0)
     loaded = results.load_records("humanoids", "book")
-    assert len(loaded) == 18
-    rows = claims.evaluate(loaded)
-    assert set(rows["verdict"]) == {claims.UNDECIDED}
-    assert all(np.isnan(finding.ours) for findings in rows["findings"] for finding in findings)
+    assert loaded.empty and loaded.attrs["set_aside"] == [short.run_id]
+    assert plan.run_id in {run["run_id"] for run in loaded.attrs["missing"]}
+    assert short.run_id in results.trace(loaded).data
 
 
 def test_studies_without_claims_are_refused() -> None:
@@ -339,37 +275,9 @@ def test_studies_without_claims_are_refused() -> None:
         claims.of("no-gradient-penalty")
 
 
-# ---------------------------------------------------------------- runs of fewer iterations
-
-
-def test_the_longest_run_stands_in_until_the_planned_one_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    plan = planned("ppo", "Atlas")
-    short, longer = (write_other("ppo", "Atlas", n, 600.0) for n in (HALF, MOST))
-    budget = plan.budget.with_iterations(MOST + 1)
-    other = dataclasses.replace(
-        plan, budget=budget, hyper=dataclasses.replace(plan.hyper, n_epochs=3)
-    )
-    synthetic.write_record(other)
-    loaded = results.load_records("humanoids", "book")
-    assert list(loaded["run_id"]) == [longer.run_id] and loaded["stand_in"].all()
-    assert loaded["planned_iterations"].item() == plan.budget.n_iterations
-    assert sorted(loaded.attrs["set_aside"]) == sorted([short.run_id, other.run_id])
-    assert plan.run_id in {run["run_id"] for run in loaded.attrs["missing"]}
-    assert loaded["expert_return"].isna().all()  # no scale from a run cut short
-    assert "1 run, 1 of them of another length" in results.describe(loaded)
-    assert len(results.select(loaded, ["ppo"], with_stand_ins=False)) == 0
-    whole = synthetic.write_record(plan)
-    loaded = results.load_records("humanoids", "book")
-    assert list(loaded["run_id"]) == [whole.run_id] and not loaded["stand_in"].any()
-    assert len(loaded.attrs["set_aside"]) == 3
-
-
 def test_curves_of_any_age_have_every_column(frame: pd.DataFrame) -> None:
     run_id = results.cell(frame, "ppo", "Atlas")["run_id"].iloc[0]
     curve = results.load_curve(run_id)
     assert curve["episode_length"].notna().any() and curve["domain_acc"].isna().all()
-    folder = Path(results.cell(frame, "ppo", "Atlas")["folder"].iloc[0])
+    folder = results.find(run_id).folder
     assert "domain_acc" not in (folder / "curve.csv").read_text()

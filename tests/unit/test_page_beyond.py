@@ -30,7 +30,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def table(spread: float = 0.0) -> pd.DataFrame:
     """Two trials of each method, whose mean falls with the torso as `FALLS` says."""
     rows = [
-        {"body": body, "method": method, "stand_in": False,
+        {"body": body, "method": method,
          "return_mean": 1000 * (1 - fall * (length - 1)) + spread * sign,
          "speed_m_s": 2 * (1 - fall * (length - 1)) + 1e-3 * spread * sign}
         for body, length in LENGTHS.items()

@@ -106,7 +106,7 @@ def test_a_stable_gait_is_survival_and_speed(tmp_path: Path) -> None:
         verdicts = {}
         for name, upright, speed in (("stands", 1.0, 0.1), ("walks", 1.0, 1.5), ("falls", 0.1, 1)):
             rows = [
-                {"method": method, "body": "Atlas", "stand_in": False, "n_iterations": 2000,
+                {"method": method, "body": "Atlas", "n_iterations": 2000,
                  "upright": upright - 1e-3 * i, "speed_m_s": speed + 1e-3 * i}
                 for i in range(3)
             ]  # fmt: skip

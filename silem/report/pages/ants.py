@@ -83,7 +83,7 @@ def correlations(frame: pd.DataFrame) -> pd.DataFrame:
     Columns are ``entry`` ("A" or "b"), ``feature``, Spearman's ``rho``, and ``low`` and ``high`` of
     its 95 % interval. Without trials of `_FEWEST_BODIES` bodies there is no row.
     """
-    runs, rows = results.select(frame, ["silem"], with_stand_ins=False), []
+    runs, rows = results.select(frame, ["silem"]), []
     if runs["body"].nunique() >= _FEWEST_BODIES:
         lengths = [bodies.get(body).length[1] for body in runs["body"]]
         learned = [results.load_transform(run_id) for run_id in runs["run_id"]]

@@ -5,15 +5,16 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import matplotlib as mpl
+import mujoco
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
-from scipy import signal, stats
+from scipy import optimize, signal, stats
 
 from silem import bodies
 from silem.bodies import BulletBody
-from silem.bodies.half_cheetah import nose_touch_pitch_rad
+from silem.bodies.measure import spec
 from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import film, results, scores, style, tables
 from silem.report.style import number
@@ -334,3 +335,37 @@ def _score_column(frame: pd.DataFrame) -> str:
 
 def _trial(name: str) -> int | None:
     return expert_of(name)[1]
+
+
+def nose_touch_pitch_rad(body: BulletBody) -> tuple[float, float]:
+    """Return the pitches at which a body's nose touches the floor, its back foot standing on it.
+
+    The first is with the back leg as the model draws it, all joints at zero; the second with it put
+    down as far as its joints' limits let it: no state with the back foot on the floor pitches
+    further. They follow from the geometry alone; the nose is the lowest of torso and head.
+    """
+    model = spec(body).compile()
+    data = mujoco.MjData(model)
+
+    def ends(geom: str) -> np.ndarray:
+        """Return the centres of a capsule's round ends, (2, 2): x and z."""
+        along = data.geom(geom).xmat.reshape(3, 3)[:, 2] * model.geom(geom).size[1]
+        return (data.geom(geom).xpos + np.stack([along, -along]))[:, [0, 2]]
+
+    mujoco.mj_kinematics(model, data)
+    nose, legs = np.concatenate([ends("torso"), ends("head")]), [ends("bfoot")]
+    joints = [model.joint(name) for name in ("bthigh", "bshin", "bfoot")]
+    ranges = [np.linspace(low, high, 15) for low, high in (joint.range for joint in joints)]
+    for angles in itertools.product(*ranges):
+        data.qpos[[joint.qposadr[0] for joint in joints]] = angles
+        mujoco.mj_kinematics(model, data)
+        legs.append(ends("bfoot"))
+
+    def touch(feet: np.ndarray) -> float:
+        def clearance(pitch: float) -> float:  # all capsules are equally thick
+            up = np.array([-np.sin(pitch), np.cos(pitch)])
+            return float((nose @ up).min() - (feet @ up).min())
+
+        return float(optimize.brentq(clearance, 0.0, np.pi / 2))
+
+    return touch(legs[0]), touch(np.concatenate(legs))

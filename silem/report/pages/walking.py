@@ -63,7 +63,7 @@ def gait(survived: float, speed_m_s: float) -> str:
 
 
 def gaits(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return one row for each method and number of iterations on a body: means over trials.
+    """Return one row for each method on a body: means over trials.
 
     ``survived`` is the share of an episode's steps, ``speed_share`` that of the demonstrator's
     speed, ``run_ids`` are the trials; the random policy is left out.
@@ -71,8 +71,7 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     orders = {"body": results.body_names(frame), "method": list(style.METHODS)}
     ordered = {name: pd.Categorical(frame[name], order) for name, order in orders.items()}
     runs = frame.assign(**ordered)[frame["method"] != "random"]
-    keys = ["body", "method", "stand_in", "n_iterations"]
-    found = runs.groupby(keys, observed=True, as_index=False).agg(
+    found = runs.groupby(["body", "method"], observed=True, as_index=False).agg(
         run_ids=("run_id", list),
         return_mean=("return_mean", "mean"),
         survived=("upright", "mean"),
@@ -143,7 +142,7 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
         for found in gaits(frame).itertuples():
             row = {
                 "body": found.body,
-                "method": style.of_run(found, ""),
+                "method": style.method(found.method, "").name,
                 "runs": name,
                 "trials": number(len(found.run_ids)),
                 "return": number(found.return_mean),
@@ -176,16 +175,14 @@ def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
     best = {"survived_s": math.nan, "speed_m_s": math.nan, "speed_share": math.nan}
     if len(found):
         best = found.loc[found["survived"].idxmax()]
-        length = f" ({best['n_iterations']:,} iterations)" if best["stand_in"] else ""
-        said["longest"] = f"{style.method(best['method'], '').label} on {best['body']}{length}"
+        said["longest"] = f"{style.method(best['method'], '').label} on {best['body']}"
     said |= {f"longest_{name}": round(best[name], 2) for name in ("survived_s", "speed_m_s")}
     return said | {"longest_speed_share": _whole(100 * best["speed_share"])}
 
 
 def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> dict[str, float]:
-    """Return one cell's numbers, ``<name>_steps`` and so on: means, of stand-ins if need be."""
+    """Return one cell's numbers, ``<name>_steps`` and so on: means over trials."""
     runs = results.cell(frame, method, body)
-    runs = runs if len(runs) else results.stand_ins(frame, method, body)
     return {
         f"{name}_steps": _whole(MAX_STEPS * runs["upright"].mean()),
         f"{name}_share": _whole(100 * runs["speed_m_s"].mean() / DEMONSTRATOR_SPEED_M_S),
@@ -193,26 +190,9 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
     }
 
 
-def early_sentences(frame: pd.DataFrame, method: str, body: str) -> dict[str, float]:
-    """Return how long a cell's longest run stayed up when it was as short as most stand-ins are.
-
-    These are ``short_iterations``, ``early_steps`` up to there, ``late_steps`` up to its end.
-    """
-    said = dict.fromkeys(("short_iterations", "early_steps", "late_steps"), math.nan)
-    lengths = frame.loc[frame["stand_in"], "n_iterations"]
-    if run_id := longest_run(frame, method, body):
-        curve = results.load_curve(run_id)
-        said["late_steps"] = _whole(_just_before(curve, 1.0)["episode_length"])
-        if len(lengths):
-            said["short_iterations"] = short = int(lengths.mode().iloc[0])
-            early = _just_before(curve, short / curve["iteration"].max())
-            said["early_steps"] = _whole(early["episode_length"])
-    return said
-
-
 def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
-    """Return, as text, how a cell's longest run came along: means up to parts of its iterations."""
-    run_id = longest_run(frame, method, body)
+    """Return, as text, how a cell's best run came along: means up to parts of its iterations."""
+    run_id = best_run(frame, method, body)
     if not run_id:
         return pd.DataFrame([{"iterations": "no run"}])
     curve, rows = results.load_curve(run_id), []
@@ -228,10 +208,9 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def longest_run(frame: pd.DataFrame, method: str, body: str) -> str:
-    """Return the id of a cell's run of the most iterations, the best one of them; "" for none."""
-    runs = frame[(frame["method"] == method) & (frame["body"] == body)]
-    ordered = runs.sort_values(["n_iterations", "return_mean"])
+def best_run(frame: pd.DataFrame, method: str, body: str) -> str:
+    """Return the id of a cell's run of the highest return; "" for none."""
+    ordered = results.cell(frame, method, body).sort_values("return_mean")
     return str(ordered["run_id"].iloc[-1]) if len(ordered) else ""
 
 
@@ -259,7 +238,7 @@ def show_strip(run_id: str, duration_s: float) -> None:
 def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     """Film the man, who begins again when his clip ends, PPO, and the twelve cells, on one clock.
 
-    Of each cell the best of its longest runs, from the same first state; blank where there is none.
+    Of each cell the best run, from the same first state; blank where there is none.
     """
     man, clips = published_motion(MAN), {}
     shown = film.motion(film.man(), man.qpos, man.rate_hz, size=_CELL)
@@ -269,15 +248,12 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     )
     names = results.body_names(frame)
     for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
-        run_id = longest_run(frame, method, body)
-        if not run_id:
+        label = f"{style.method(method, '').name}\n{body}"
+        if run_id := best_run(frame, method, body):
+            clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
+        else:
             blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
-            label = f"{style.method(method, '').name}\n{body}: no run yet"
-            clips[label] = film.Clip(blank, shown.frames_per_s)
-            continue
-        (run,) = frame[frame["run_id"] == run_id].itertuples()
-        label = f"{style.of_run(run, '')}\n{body}"
-        clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
+            clips[f"{label}: no run yet"] = film.Clip(blank, shown.frames_per_s)
     return film.grid(clips, n_columns=4, label_size=0.05)
 
 
