@@ -21,8 +21,8 @@ from silem import bodies, paper
 from silem.bodies import atlas
 from silem.bodies.body import MujocoBody
 from silem.motion import demonstrations as demos
-from silem.motion import kinematics, retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion import kinematics
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import Motion, published_motion, published_name
 from silem.motion.features import POINTS, skeletal_features
 from silem.motion.kinematics import SIDES, Soles

@@ -23,7 +23,7 @@ from silem.motion import demonstrations as demos
 from silem.study import demonstrate, runs
 from silem.study.config import RunConfig
 from silem.study.record import PROGRESS, RunRecord
-from silem.study.settings import Budget, expert_of
+from silem.study.settings import Budget
 from silem.study.studies import cells, seeds_of
 from silem.util import files, paths
 from silem.util.errors import SilemError, reason
@@ -44,7 +44,7 @@ def experts_of(config: RunConfig) -> list[RunConfig]:
     name = config.demonstrations
     if not name or demos.is_published(name):
         return []
-    body, trial = expert_of(name)
+    body, trial = demos.expert_of(name)
     runs.check_made_by_an_expert(body)
     return demonstrate.experts(body, config.budget.base_name, trial)
 
@@ -131,7 +131,7 @@ def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
     """Make a run, and first its demonstrations; None where somebody else does, or it has failed."""
     try:
         if experts_of(config):
-            (body, trial), name = expert_of(config.demonstrations), config.demonstrations
+            (body, trial), name = demos.expert_of(config.demonstrations), config.demonstrations
             record = demonstrate.demonstrator(body, config.budget.base_name, trial)
             demonstrate.demonstrate(record, name=name, progress=progress)
         return runs.run(config, progress, until=until, starts=runs.STARTS)
