@@ -25,7 +25,7 @@ from silem.envs import make_vec
 from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.study.config import RunConfig
-from silem.study.record import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
+from silem.study.runs import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
 from silem.study.settings import HUMAN, METHODS, Budget
 from silem.util import files, seeding
 from silem.util.errors import SilemError, reason
