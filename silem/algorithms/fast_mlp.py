@@ -128,8 +128,9 @@ class FlatActorCritic:
             self._moments = extractor.mean_and_scale(self.params.dtype)
 
     def normalize(self, observations: np.ndarray) -> np.ndarray:
-        """Return observations (B, O) as the networks take them."""
-        x = observations.reshape(len(observations), -1).astype(self.params.dtype, copy=False)
+        """Return observations (B, O), or one, as the networks take them, (B, O)."""
+        x = np.reshape(observations, (-1, self.policy.features_dim))
+        x = x.astype(self.params.dtype, copy=False)
         if self._moments is None:
             return x
         mean, scale = self._moments

@@ -287,10 +287,11 @@ class PPO(SB3PPO):
         return actions, values, log_probs
 
     def _values(self, observations: Any) -> np.ndarray:
+        """Return the values of one observation or of several, (1,) or (E,)."""
         if self._fast is not None:
             return self._fast.values(self._fast.normalize(observations))
         with th.no_grad():
-            values = self.policy.predict_values(obs_as_tensor(observations, self.device))
+            values = self.policy.predict_values(self.policy.obs_to_tensor(observations)[0])
         return values.cpu().numpy()[:, 0]
 
     def _env_actions(self, actions: np.ndarray) -> np.ndarray:
@@ -306,13 +307,8 @@ class PPO(SB3PPO):
             info = infos[i]
             self._episodes.append(info.get("episode", {}))
             if info.get("TimeLimit.truncated", False):
-                terminal = info["terminal_observation"]
-                batch = (
-                    {key: np.asarray(value)[None] for key, value in terminal.items()}
-                    if isinstance(terminal, dict)
-                    else np.asarray(terminal)[None]
-                )
-                self._bootstrap[step, i] = self.gamma * self._values(batch)[0]
+                (worth,) = self._values(info["terminal_observation"])
+                self._bootstrap[step, i] = self.gamma * worth
 
     def _train_fast(self, fast: FlatActorCritic) -> None:
         self._update_learning_rate(self.policy.optimizer)

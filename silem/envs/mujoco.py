@@ -144,10 +144,6 @@ class Simulation(base.Simulation):
             self._com_velocity[indices].copy(),
         )
 
-    def data(self, index: int = 0) -> mujoco.MjData:
-        """Return a copy of all that MuJoCo knows of one state."""
-        return self._batch.get_data(index)
-
     def begin(
         self, indices: np.ndarray, generators: base.Generators
     ) -> tuple[np.ndarray, base.Infos]:

@@ -4,8 +4,3 @@
 publishes the motion, `retargeting` puts it on another body; `kinematics` is what both need of
 sequences of poses. `demonstrations` is what imitators learn from, whoever demonstrates.
 """
-
-
-def retargeted(demonstrations: str, body: str) -> str:
-    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
-    return f"{demonstrations}_on_{body}"

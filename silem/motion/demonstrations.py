@@ -134,6 +134,21 @@ def _float32(array: Any) -> np.ndarray:
         return found.astype(np.float32)
 
 
+def expert_of(name: str) -> tuple[str, int | None]:
+    """Return the body and the trial that demonstrations are of: ("HC0", 3) for "HC0_s3".
+
+    The trial of "HC0" is None: its demonstrator's, whichever that is.
+    """
+    body, separator, trial = name.rpartition("_s")
+    return (body, int(trial)) if separator and trial.isdecimal() else (name, None)
+
+
+def retargeted(name: str, body: str) -> str:
+    """Return the name of demonstrations retargeted to a body: "cmu_08_01_on_Atlas"."""
+    suffix = f"_on_{body}"
+    return name.removesuffix(suffix) + suffix
+
+
 def file_of(name: str) -> Path:
     """Return where the demonstrations ``name`` (an expert's body, or a clip) lie or would lie.
 

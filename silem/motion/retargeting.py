@@ -18,11 +18,10 @@ import numpy as np
 from tqdm import tqdm
 
 from silem import bodies, paper
-from silem.bodies import atlas
 from silem.bodies.body import MujocoBody
 from silem.motion import demonstrations as demos
-from silem.motion import kinematics, retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion import kinematics
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import Motion, published_motion, published_name
 from silem.motion.features import POINTS, skeletal_features
 from silem.motion.kinematics import SIDES, Soles
@@ -63,9 +62,8 @@ _COPIED = ("source", "source_sha256", "licence", "acknowledgement")  # from the 
 
 def learner(name: str) -> MujocoBody:
     """Return a humanoid as Peng20 has it: Atlas with the ankles of its best combination."""
-    if name == "Atlas":
-        return atlas.body(paper.best_combination(name, "peng20")[0]["ankle_range_rad"])
-    return bodies.of_kind(name, MujocoBody)
+    best, known = paper.best_combination(name, "peng20")[0], bodies.get(name)
+    return bodies.of_kind(known.variant(**{n: best[n] for n in known.parameters}), MujocoBody)
 
 
 class Limbs(NamedTuple):

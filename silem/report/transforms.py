@@ -11,8 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from silem import bodies, paper
 from silem.bodies import BulletBody
-from silem.motion import retargeted
-from silem.motion.demonstrations import Demonstrations, file_of
+from silem.motion.demonstrations import Demonstrations, file_of, retargeted
 from silem.motion.features import FEATURES
 from silem.report import results, scores, statistics, style
 from silem.report.style import number

@@ -12,8 +12,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from silem import bodies, paper
-from silem.motion import retargeted
-from silem.motion.demonstrations import file_of
+from silem.motion.demonstrations import expert_of, file_of, retargeted
 from silem.util.errors import COUNT, FACTOR, NUMBER, RATE, WEIGHT, SilemError, check_name, choose
 
 HUMAN = "cmu_08_01"
@@ -298,15 +297,6 @@ def _family(name: str) -> FamilySettings:
     return FAMILIES.get(name, FAMILIES["halfcheetah"])
 
 
-def expert_of(name: str) -> tuple[str, int | None]:
-    """Return the body and the trial that demonstrations are of: ("HC0", 3) for "HC0_s3".
-
-    The trial of "HC0" is None: its demonstrator's, whichever that is.
-    """
-    body, separator, trial = name.rpartition("_s")
-    return (body, int(trial)) if separator and trial.isdecimal() else (name, None)
-
-
 def demonstrations(body: str, method: str, wanted: str | None) -> str:
     """Return the name of a cell's demonstrations: those wanted, or the paper's.
 
@@ -326,7 +316,7 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if wanted is None and original in bodies.names():
             raise SilemError(f"method {method!r} is not for {body}: no clip is retargeted to it")
         chosen = wanted or retargeted(original, body)
-        if not chosen.endswith(f"_on_{body}"):
+        if chosen != retargeted(chosen, body):
             raise SilemError(f"{method} imitates a clip retargeted to {body}, not {chosen!r}")
         return chosen
     if wanted and original in bodies.names() and not file_of(wanted).exists():

@@ -23,8 +23,7 @@ from silem.algorithms.gaifo import SurvivalWarning
 from silem.bodies import MujocoBody, of_kind
 from silem.envs import make_vec
 from silem.motion import demonstrations as demos
-from silem.motion import retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.study.config import RunConfig
 from silem.study.runs import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
 from silem.study.settings import HUMAN, METHODS, Budget
@@ -59,9 +58,7 @@ def make_env(config: RunConfig) -> VecEnv:
         # inverse kinematics and motion capture come with it, which no other run needs
         from silem.motion.retargeting import demonstration_states
 
-        name = config.demonstrations if options else HUMAN
-        if not name.endswith(retargeted("", config.body)):
-            name = retargeted(name, config.body)
+        name = retargeted(config.demonstrations if options else HUMAN, config.body)
         options["starts"] = demonstration_states(name, of_kind(config.learner, MujocoBody))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)

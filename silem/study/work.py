@@ -23,7 +23,7 @@ from silem.motion import demonstrations as demos
 from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.runs import PROGRESS, RunRecord
-from silem.study.settings import Budget, expert_of
+from silem.study.settings import Budget
 from silem.study.studies import experts, narrowed
 from silem.util import files, paths
 from silem.util.errors import SilemError, reason
@@ -44,7 +44,7 @@ def experts_of(config: RunConfig) -> list[RunConfig]:
     name = config.demonstrations
     if not name or demos.is_published(name):
         return []
-    body, trial = expert_of(name)
+    body, trial = demos.expert_of(name)
     runs.check_made_by_an_expert(body)
     return experts(body, config.budget.base_name, trial)
 

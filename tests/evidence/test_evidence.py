@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from silem.bodies import humanoid
-from silem.motion.demonstrations import MANIFEST, Demonstrations
+from silem.motion.demonstrations import MANIFEST, Demonstrations, expert_of
 from silem.motion.features import FEATURES
 from silem.report import results
 from silem.study import studies, verify
 from silem.study.config import SEARCH
 from silem.study.runs import POLICY, RECORD, RunRecord
-from silem.study.settings import HUMAN, expert_of
+from silem.study.settings import HUMAN
 from silem.util import files, paths
 
 DATA = paths.REPO / "data"

@@ -221,10 +221,10 @@ def test_a_placed_state_remembers_nothing():
     pose = np.array(simulation.body.standing_pose)
     for each in (simulation, fresh):
         each.place(1, pose, np.full(27, 0.1))
-    ours, theirs = simulation.data(1), fresh.data(1)
+    ours, theirs = (each._batch.get_data(1) for each in (simulation, fresh))
     for field in ("time", "qpos", "qvel", "ctrl", "qacc_warmstart", "xpos", "subtree_linvel"):
         np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
-    assert simulation.data(0).time > 0  # the other one goes on
+    assert simulation._batch.get_data(0).time > 0  # the other one goes on
 
 
 def test_arms_are_scaled_and_nothing_else():
@@ -261,12 +261,12 @@ def test_distances_are_the_papers():
 def test_standing_pose_has_its_soles_on_the_floor():
     simulation = Simulation(bodies.get("Humanoid"), 1)
     simulation.place(0, np.array(simulation.body.standing_pose), np.zeros(27))
-    data = simulation.data()
+    data = simulation._batch.get_data(0)
     assert data.ncon == 0 or abs(data.contact.dist).max() < 1e-6
     lowered = np.array(simulation.body.standing_pose)
     lowered[2] -= 1e-3
     simulation.place(0, lowered, np.zeros(27))
-    assert simulation.data().ncon > 0
+    assert simulation._batch.get_data(0).ncon > 0
 
 
 def test_bad_input_is_refused():

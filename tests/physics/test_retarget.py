@@ -12,8 +12,8 @@ import pytest
 
 from silem import bodies
 from silem.bodies.body import MujocoBody, Skeleton
-from silem.motion import kinematics, retargeted, retargeting
-from silem.motion.demonstrations import Demonstrations
+from silem.motion import kinematics, retargeting
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import Motion, published_motion
 from silem.motion.features import FEATURES, POINTS, skeletal_features
 from silem.motion.kinematics import Soles

@@ -14,8 +14,8 @@ from silem import bodies
 from silem.bodies import MujocoBody, atlas
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs import mujoco as walking
-from silem.motion import demonstrations, retargeted
-from silem.motion.demonstrations import Demonstrations
+from silem.motion import demonstrations
+from silem.motion.demonstrations import Demonstrations, retargeted
 from silem.motion.demonstrator import CLIPS, published_motion, published_name
 from silem.motion.kinematics import Soles
 from silem.motion.retargeting import BODIES, demonstration_states, learner, published_retargeting

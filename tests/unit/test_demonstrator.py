@@ -11,9 +11,10 @@ import pytest
 from synthetic_clips import UNIT_M, Files, frame_of, joints, skeleton_text, walk
 
 from silem.cli import main
-from silem.motion import clips, demonstrator, kinematics, retargeted, retargeting
+from silem.motion import clips, demonstrator, kinematics, retargeting
 from silem.motion import demonstrations as demos
 from silem.motion.clips import read_amc, read_asf
+from silem.motion.demonstrations import retargeted
 from silem.motion.features import POINTS, skeletal_features
 from silem.study.config import RunConfig
 from silem.study.runs import load_demonstrations

@@ -15,7 +15,7 @@ from scipy import optimize, signal, stats
 from silem import bodies
 from silem.bodies import BulletBody
 from silem.bodies.measure import spec
-from silem.motion.demonstrations import Demonstrations, entry, file_of
+from silem.motion.demonstrations import Demonstrations, entry, expert_of, file_of
 from silem.report import film, results, scores, style, tables
 from silem.report.style import number
 from silem.report.transforms import feature_groups
@@ -23,7 +23,6 @@ from silem.study import evaluate, runs
 from silem.study.config import TRIAL_SEEDS
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.runs import RunRecord
-from silem.study.settings import expert_of
 from silem.study.studies import cells, experts
 from silem.util.errors import SilemError, choose
 

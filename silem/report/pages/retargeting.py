@@ -17,8 +17,8 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
 from silem.bodies import MujocoBody, of_kind
-from silem.motion import retargeted
 from silem.motion import retargeting as ik
+from silem.motion.demonstrations import retargeted
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS
 from silem.motion.kinematics import SIDES
