@@ -147,8 +147,7 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
     Raises SilemError: There is no such run, or it ends with another curve than it is recorded with,
     as on processors with other numerical kernels; nothing is written then.
     """
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
+    record = runs.get(run_id)
     budget, clips, transforms = record.run_config.budget, {}, []
     every, last = budget.checkpoint_every, budget.n_iterations
     filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
