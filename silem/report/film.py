@@ -32,10 +32,9 @@ from tqdm import tqdm
 import silem
 from silem import bodies
 from silem.algorithms import PPO, SILEM
-from silem.algorithms.networks import AffineTransform
+from silem.algorithms.silem import AffineTransform
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
-from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
@@ -211,7 +210,7 @@ def motion(
     if not duration_s > 0:
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
-    with closing(Camera(body_of(body), *size)) as camera:
+    with closing(Camera(bodies.of_kind(body, MujocoBody), *size)) as camera:
         pictures = np.stack([camera.picture(pose) for pose in shown])
     return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
 

@@ -136,7 +136,8 @@ class RunConfig:
         """The command line that makes this run, or goes on with it."""
         budget, _, iterations = self.budget.name.partition("-")
         options = {
-            "import": bodies.module_of(self.body), "body": self.body, "method": self.method,
+            "import": (bodies.identity(self.body) or {}).get("module", ""),
+            "body": self.body, "method": self.method,
             "demonstrations": self.demonstrations, "budget": budget, "iterations": iterations,
             "seed": str(self.seed),
             "study": self.study if self.study != bodies.get(self.body).family else "",

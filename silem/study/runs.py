@@ -447,8 +447,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
 
 def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -> dict[str, str]:
     """Write what a training leaves, and return the files' SHA-256 by name."""
-    from silem.algorithms import SILEM
-    from silem.algorithms.networks import AffineEnsemble, AffineTransform
+    from silem.algorithms.silem import SILEM, AffineEnsemble, AffineTransform
 
     files.write_text(folder / CURVE, curve_csv(curve))
     model.export_policy(folder / POLICY, run_id=run_id)

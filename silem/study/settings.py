@@ -70,7 +70,7 @@ def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: 
 
 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
-_BEST = paper.best_combination("HC0", "silem", "HC0")
+_BEST, _ = paper.best_combination("HC0", "silem", "HC0")
 _COMMON, _TEXT = "supplement, common settings for PPO", "supplement, text"
 _ROW, _MEREL = "supplement, SILEM's best combination for HC0", "merel-mocap-gail"
 
@@ -363,8 +363,8 @@ _common = cache(paper.common)
 def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
     """Return the supplement's best combination of a cell, else SILEM's, else the stand-in's."""
     for wanted, known in ((m, b) for m in (method, "silem") for b in (body, stand_in)):
-        if table := paper.best_table(known, wanted):
+        values, table = paper.best_combination(known, wanted, source if known == body else "")
+        if table:
             label = f"supplement, {table.label}, {known}"
-            values = paper.best_combination(known, wanted, source if known == body else "")
             return {name: Setting(value, label) for name, value in values.items()}
     return {}

@@ -309,14 +309,14 @@ def study_of(name: str) -> Study:
         return found
     known = {f"{cell.body}/{cell.method}": cell for cell in found.cells}
     cell = known[choose(f"search in {study}", "/".join(searched), known)]
-    table = paper.best_table(cell.body, cell.method)
+    source = cell.demonstrations or ""
+    best, table = paper.best_combination(cell.body, cell.method, source)
     if table is None or not table.grid:
         raise SilemError(f"the supplement has searched no grid for {cell.method} on {cell.body}")
     used, printed = HyperParameters.used_by(cell.method), paper.grid_values(table.grid)
     grid = {paper.symbols()[symbol].parameter: values for symbol, values in printed.items()}
     grid = {name: values for name, values in grid.items() if name in used}
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-    best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
     order = seeding.generator(0, "search").permutation(len(points))
     points = sorted((points[i] for i in order), key=lambda point: point != best)
     given, label = dict(cell.overrides), folder_of(name)

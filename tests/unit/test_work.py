@@ -68,7 +68,7 @@ def test_the_ant_studys_cells_are_those_of_figure_2d() -> None:
         own = config.method == "silem-minus-own"
         if config.method not in ("ppo", "random"):
             assert config.demonstrations == (config.body if own else "Ant0")
-            best = paper.best_combination(config.body, config.method, config.demonstrations)
+            best = paper.best_combination(config.body, config.method, config.demonstrations)[0]
             assert {name: getattr(config.hyper, name) for name in best} == best
     small = study_configs("ant-absorbing", "book", 1)
     assert {(c.method, c.body) for c in small} == {
@@ -126,7 +126,7 @@ def test_a_search_runs_the_supplements_grid_its_best_first() -> None:
     whole = study_configs("halfcheetah/HC2/silem", "quick", 1)
     grid = paper.grid_values("tab4")
     assert len({c.run_id for c in whole}) == math.prod(len(values) for values in grid.values())
-    best = paper.best_combination("HC2", "silem", "HC0")
+    best = paper.best_combination("HC2", "silem", "HC0")[0]
     assert {name: getattr(whole[0].hyper, name) for name in best} == best
     sample = study_configs("halfcheetah/HC2/silem", "quick", 2, 24)
     assert sample[:24] == whole[:24]
