@@ -171,9 +171,9 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
     """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
     config = record.run_config
     demonstrations, sha = runs.load_demonstrations(config)
-    reached = Checkpoint.start(config, sha or "")
     with tempfile.TemporaryDirectory() as folder:
         while True:
+            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha)
             with closing(make_env(config)) as env:
                 model = make_model(config, env, demonstrations)
                 if reached.iteration:
@@ -186,7 +186,6 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
                 except KeyboardInterrupt as stop:
                     if not stop.args:  # Ctrl-C
                         raise
-            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha or "")
 
 
 def _of_now(model: PPO, record: RunRecord) -> Clip:
