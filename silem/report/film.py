@@ -146,8 +146,7 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
     Raises SilemError: There is no such run, or it ends with another curve than it is recorded with,
     as on processors with other numerical kernels; nothing is written then.
     """
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
+    record = runs.get(run_id)
     budget, clips, transforms = record.run_config.budget, {}, []
     every, last = budget.checkpoint_every, budget.n_iterations
     filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
@@ -172,9 +171,9 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
     """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
     config = record.run_config
     demonstrations, sha = runs.load_demonstrations(config)
-    reached = Checkpoint.start(config, sha or "")
     with tempfile.TemporaryDirectory() as folder:
         while True:
+            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha)
             with closing(make_env(config)) as env:
                 model = make_model(config, env, demonstrations)
                 if reached.iteration:
@@ -187,7 +186,6 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
                 except KeyboardInterrupt as stop:
                     if not stop.args:  # Ctrl-C
                         raise
-            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha or "")
 
 
 def _of_now(model: PPO, record: RunRecord) -> Clip:

@@ -152,22 +152,22 @@ class RunConfig:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON types: hyper-parameters in use, identity of one's own body.
 
-        One that is back at its default, where the cell has another, is in use too.
+        An optional one is in use where it is not at its default, or the cell has another value.
         """
-        own = {n: value for n, (value, source) in self.settings().items() if source == "this run"}
-        used = self.hyper.of_method(self.method)
+        used, body = HyperParameters.used_by(self.method), bodies.identity(self.body)
+        unset = {name: item.default for name, item in used.items() if "optional" in item.metadata}
         hyper = {
             name: list(value) if isinstance(value, tuple) else value
-            for name, value in (used | {n: own[n] for n in vars(self.hyper) if n in own}).items()
+            for name, (value, source) in self.settings().items()
+            if source == "this run" or name not in unset or value != unset[name]
         }
-        body = bodies.identity(self.body)
         return {
             "study": self.study,
             "body": self.body,
             "method": self.method,
             "demonstrations": self.demonstrations,
             "budget": dataclasses.asdict(self.budget),
-            "hyper": hyper | dict(self.parameters),
+            "hyper": hyper,
             "seed": self.seed,
         } | ({"own_body": body} if body else {})
 

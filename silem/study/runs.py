@@ -404,8 +404,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
 
     torch.set_num_threads(1)
     source, (demonstrations, sha) = provenance(), load_demonstrations(config)
-    start, path = Checkpoint.start(config, sha or ""), folder / CHECKPOINT
-    start = Checkpoint.load(path, config, sha or "") if path.exists() else start
+    start = Checkpoint.load(folder / CHECKPOINT, config, sha)
     commit = source["git_commit"] or "unknown"
     start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
     home, training = _home(config), {"n_steps": 0, "steps_per_s": None}
@@ -436,7 +435,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
         evaluation=result._asdict(),
         training=training,
         provenance=source,
-        demonstrations_sha256=sha,
+        demonstrations_sha256=sha or None,
         **start.spent(),
         files={} if curve is None else _write_outcome(home, policy, curve, config.run_id),
         folder=home,
@@ -462,14 +461,14 @@ def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -
     return {name: files.sha256(folder / name) for name in names}
 
 
-def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str | None]:
-    """Return a run's demonstrations and their file's SHA-256, or None twice for no imitator.
+def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
+    """Return a run's demonstrations and their file's SHA-256; None and "" for no imitator.
 
     Raises SilemError: they are missing (the message says how to make them) or not as published.
     """
     name = config.demonstrations
     if not name:
-        return None, None
+        return None, ""
     path = demos.file_of(name)
     if not path.exists():
         check_made_by_an_expert(name)

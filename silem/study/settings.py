@@ -139,14 +139,6 @@ class HyperParameters:
         fields = dataclasses.fields(cls)
         return {item.name: item for item in fields if method in item.metadata["methods"]}
 
-    def of_method(self, method: str) -> dict[str, Any]:
-        """Return what identifies a run: the values that its method uses, optional ones if set."""
-        return {
-            name: value
-            for name, item in self.used_by(method).items()
-            if (value := getattr(self, name)) != item.default or "optional" not in item.metadata
-        }
-
 
 def _checked(item: dataclasses.Field[Any], value: Any) -> Any:
     """Return a hyper-parameter's value in its field's type, or raise SilemError."""

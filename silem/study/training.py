@@ -167,12 +167,6 @@ class Checkpoint:
         default_factory=lambda: (time.perf_counter(), time.process_time()), compare=False
     )
 
-    @classmethod
-    def start(cls, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
-        """Return what a run starts from that has not begun."""
-        no_curve = np.empty((0, len(CURVE_COLUMNS)))
-        return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
-
     def spent(self) -> dict[str, Any]:
         """Return seconds by the clock and of the processor until now, over all sessions."""
         before, processor_s = self.processor_time_s, time.process_time() - self.began[1]
@@ -198,11 +192,14 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: Path, config: RunConfig, demonstrations_sha256: str) -> "Checkpoint":
-        """Read a checkpoint of a given run.
+        """Read a checkpoint of a given run, or return what it starts from where there is none yet.
 
         Raises SilemError: the file is damaged, another run's, or was made with other
         demonstrations. Nothing is deleted.
         """
+        if not path.exists():
+            no_curve = np.empty((0, len(CURVE_COLUMNS)))
+            return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
         try:
             arrays, metadata = files.read_tensors(path)
             if metadata.pop(_SHA256, "") != _digest(arrays, metadata):
