@@ -39,10 +39,10 @@ from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.record import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
+from silem.study.record import CHECKPOINT, CURVE, RunRecord, curve_csv
 from silem.study.training import Checkpoint, make_env, make_model, train
 from silem.util import files, seeding
-from silem.util.errors import SilemError, choose
+from silem.util.errors import BOUND, RATE, SilemError, choose
 from silem.util.paths import REPO
 
 Size = tuple[int, int]
@@ -50,10 +50,6 @@ Size = tuple[int, int]
 LEARNING = REPO / "book" / "_static" / "films"
 """In a folder of a run's name, films of its policy while it learned: ``<iteration>.mp4``, and in
 ``transforms.npz`` its T at every checkpoint: ``iteration`` (K,), ``A`` and ``b`` (K, F)."""
-
-LEARNING = REPO / "book" / "_static" / "films"
-"""The films of runs while they learn, in a folder of the run's name: ``<iteration>.mp4``, and in
-``transforms.npz`` the T of each checkpoint."""
 
 SIZE: Size = (640, 480)
 """Width and height of a film by itself, pixels."""
@@ -105,8 +101,7 @@ def rollout(
         SilemError: The duration is not positive, or nothing can be drawn offscreen here.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    if not (duration_s > 0 and math.isfinite(duration_s)):
-        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    RATE.check("duration_s", duration_s)
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or RandomPolicy(found)
@@ -154,7 +149,9 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
     filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
     for reached, model in tqdm(_checkpoints(record), run_id, last // every + 1, unit="checkpoint"):
         if reached.iteration in filmed:
-            clips[reached.iteration] = _of_now(model, record)
+            clips[reached.iteration] = rollout(
+                record.run_config().learner, model, duration_s=5.0, size=_SMALL, progress=False
+            )
         net = model.transform_net if isinstance(model, SILEM) else None
         if isinstance(net, AffineTransform):
             pair = [array.detach().numpy().copy() for array in (net.scale, net.offset)]
@@ -191,16 +188,6 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
             reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha or "")
 
 
-def _of_now(model: PPO, record: RunRecord) -> Clip:
-    """Film what the model of a run that is under way does."""
-    with tempfile.TemporaryDirectory() as name:
-        policy = Path(name) / POLICY
-        model.export_policy(policy)
-        now = replace(record, folder=policy.parent, files={POLICY: files.sha256(policy)})
-        learner = record.run_config().learner
-        return rollout(learner, load_policy(now), duration_s=5.0, size=_SMALL, progress=False)
-
-
 def motion(
     body: Body | str,
     qpos: np.ndarray,
@@ -209,8 +196,7 @@ def motion(
     size: Size = SIZE,
 ) -> Clip:
     """Film every other one of a humanoid's poses, (T, nq), in real time; no physics acts."""
-    if not duration_s > 0:
-        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    BOUND.check("duration_s", duration_s)
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
     with closing(Camera(body_of(body), *size)) as camera:
         pictures = np.stack([camera.picture(pose) for pose in shown])
@@ -234,10 +220,8 @@ def man() -> MujocoBody:
 
 
 def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
-    """Picture (H, W, 3) a body at rest, fitted to it or, of a runner, `span_m` metres wide."""
+    """Picture (H, W, 3) a body at rest, fitted to it or, with `span_m`, so many metres of it."""
     found = bodies.get(body) if isinstance(body, str) else body
-    if isinstance(found, MujocoBody) and span_m is not None:
-        raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
     with closing(Camera(found, *size, span_m)) as camera:
         return camera.picture()
 

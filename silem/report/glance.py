@@ -12,24 +12,20 @@ import pandas as pd
 
 from silem.report import claims, results, style
 from silem.report.pages import walking
+from silem.report.web import BODIES
+from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
-STUDIES = {
-    "halfcheetah": "HalfCheetah, Figure 2b and Table 1",
-    "ant": "Ants, Figure 2d",
-    "humanoids": "Humanoids, Figures 3b, 4a and 4b",
-}
+FAMILIES = {"halfcheetah": "HalfCheetah", "ant": "Ants", "humanoids": "Humanoids"}
+"""The studies whose claims the box counts, and what to call their bodies."""
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]
-FILM = "silem_Humanoid_from_cmu_08_01_book_s0_b5918e5b"
-"""The run that README films."""
 
 
 def box(root: str = "") -> str:
     """Return the box as Markdown; `root` is the way from its page to the repository's root."""
-    frames = [results.load_records(study, "book") for study in STUDIES]
-    tables = [_matrix(*pair) for pair in zip(STUDIES.values(), frames, strict=True)]
+    frames = [results.load_records(study, "book") for study in FAMILIES]
     return "\n\n".join(
         [
             "## At a glance",
@@ -37,7 +33,7 @@ def box(root: str = "") -> str:
             " do that, do here what the paper claims? Each claim is judged [by a rule fixed before"
             f" its runs were complete]({root}notebooks/07_scorecard.ipynb), on the bodies that are"
             " named.",
-            *tables,
+            *map(_matrix, frames),
             _behind(frames),
             "![Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies,"
             " minimum, mean and maximum over trials; right the forward speed of the same trials"
@@ -48,7 +44,7 @@ def box(root: str = "") -> str:
     )
 
 
-def _matrix(name: str, frame: pd.DataFrame) -> str:
+def _matrix(frame: pd.DataFrame) -> str:
     """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
     found = claims.evaluate(frame)
     spans = found["reason"].str.contains("spans the bound")
@@ -62,6 +58,8 @@ def _matrix(name: str, frame: pd.DataFrame) -> str:
     table = table.reindex(pd.unique(pd.Series(title)), columns=_VERDICTS, fill_value="")
     heads = [f"{verdict} ({(found['verdict'] == verdict).sum()})" for verdict in _VERDICTS]
     lines = [f"| {title} | {' | '.join(cells)} |" for title, *cells in table.itertuples()]
+    study, _ = results.context(frame)
+    name = f"{FAMILIES[study]}, {STUDIES[study].about}"
     head = f"**{name}: {len(found)} claims**\n\n| claim | {' | '.join(heads)} |\n"
     return head + "\n".join(["| --- | --- | --- | --- |", *lines])
 
@@ -105,7 +103,7 @@ def film(_: str = "") -> str:
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"
         f" {parts[0]}; its rivals: {'; '.join(parts[1:])}."
-        f" `silem render {FILM} --out walk.mp4` films it again.*"
+        f" `silem render {BODIES['Humanoid']} --out walk.mp4` films it again.*"
     )
 
 

@@ -31,19 +31,18 @@ from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
 from silem.study.config import TRIAL_SEEDS
 from silem.util.errors import SilemError
 
-_PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 _NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
 
 
 def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
     """Check a notebook's parameters and return them as attributes.
 
-    In Jupyter and papermill, the names checked are those assigned by the last cells that held
-    nothing but assignments of literals: the ``parameters`` cell and the one papermill injects.
-    Variables of other cells are no parameters, and the cell can be run again at any time.
+    The names checked are those assigned by the last cells that held nothing but assignments of
+    literals: the ``parameters`` cell and the one papermill injects. Variables of other cells are
+    no parameters, and the cell can be run again at any time.
 
     Args:
-        namespace: The notebook's ``globals()``, or a dict of parameters, which is checked whole.
+        namespace: The notebook's ``globals()``.
         **schema: For each parameter its type (``str``, ``int``, ``float`` or ``bool``) or the
             strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
 
@@ -65,9 +64,7 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
 
 def _given(namespace: Mapping[str, Any]) -> list[str]:
-    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
-    if "get_ipython" not in namespace:
-        return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
+    """Return the names set as parameters: by the notebook's last literal-only cells."""
     assigned = [literal_assignments(source) for source in namespace.get("In", [])]
     neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
     names = chain(*neighbours[-1]) if neighbours else ()

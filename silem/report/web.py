@@ -229,21 +229,22 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
 
     The first picture of each film becomes its poster, beside it in the folder above.
     """
-    about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
+    mujoco, sizes = distribution("mujoco"), {}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
     packs |= {"learning": learning_pack()} | (physics(cache) or {})
     for name, data in packs.items():
         text = pack(name, data)
-        about["sizes"][name] = len(text)
+        sizes[name] = len(text)
         files.write_text(folder / f"{name}.js", text)
     if "mujoco.wasm" in packs:
         licence = "mujoco-3*.dist-info/licenses/LICENSE"
-        (found,) = [p for p in distribution("mujoco").files or () if p.match(licence)]
+        (found,) = [p for p in mujoco.files or () if p.match(licence)]
         files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
     films = REPO / "book" / "_static"
     for path in films.rglob("*.mp4"):
         poster = imageio.imwrite("<bytes>", imageio.imread(path, index=0), extension=".jpg")
         files.write_bytes((folder.parent / path.relative_to(films)).with_suffix(".jpg"), poster)
+    about = {"version": NPM_PACKAGE[1], "mujoco_python": mujoco.version, "sizes": sizes}
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")
 
 
@@ -254,7 +255,3 @@ def finish(html: Path) -> None:
     names = [path.name for path in pictures if mark in path.read_text()[:400]]
     text = f"silem.withPaper = {json.dumps(names)};\n"
     files.write_text(html / "_static" / "web" / "figures.js", text)
-
-
-def _version() -> str:
-    return distribution("mujoco").version
