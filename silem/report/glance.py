@@ -12,7 +12,7 @@ import pandas as pd
 
 from silem.report import claims, results, style
 from silem.report.pages import walking
-from silem.report.web import BODIES
+from silem.report.web import BODIES, hours
 from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
@@ -77,22 +77,9 @@ def _behind(frames: list[pd.DataFrame]) -> str:
     missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
     return (
         f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread})"
-        f" and {_hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
+        f" and {hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
         " graphics card."
     )
-
-
-def _hours(runs: pd.DataFrame) -> str:
-    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
-    without = runs[runs["processor_time_s"].isna()]
-    hours = runs["processor_time_s"].sum() / 3600, without["wall_time_s"].sum() / 3600
-    if len(without) == len(runs) > 0:
-        return f"{hours[1]:.1f} hours of wall time"
-    words = f"{hours[0]:.1f} hours of processor time"
-    if len(without):
-        words += f" and {hours[1]:.1f} hours of wall time where that was not counted"
-        words += f" ({style.trials(len(without))})"
-    return words
 
 
 def film(_: str = "") -> str:

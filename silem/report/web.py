@@ -192,17 +192,24 @@ def links(frame: pd.DataFrame) -> str:
     """
     name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
     data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
-    counted = frame["processor_time_s"].dropna()
-    hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"
-    if len(counted):
-        of = f" in the {len(counted)} runs that counted them" if len(counted) < len(frame) else ""
-        hours += f", {counted.sum() / 3600:.1f} processor hours{of}"
     return (
         f'<p class="silem-links" data-name="{name}">'
         f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
         ' <button type="button" class="silem-copy">copy the commands</button>'
-        f" <span>{hours}</span></p>"
+        f" <span>{hours(frame)}</span></p>"
     )
+
+
+def hours(runs: pd.DataFrame) -> str:
+    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
+    without = runs[runs["processor_time_s"].isna()]
+    wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
+    if len(without) == len(runs) > 0:
+        return wall
+    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
+    if len(without):
+        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
+    return words
 
 
 def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
