@@ -1,9 +1,10 @@
 """Build the book: execute the notebooks, stage them with the prose, run jupyter-book.
 
 ``python -m silem.report.build`` is what ``make book`` calls; with ``--figures`` it redraws instead
-the committed figures, with ``--pdf`` it prints the book to one file. Executed notebooks and
-``book/`` are laid out as one source tree, so that a page has the same path in the repository and in
-the book. A failing notebook or a Sphinx warning fails the build.
+the committed figures, with ``--pdf`` it prints the book to one file, with ``--film`` it films a run
+for the slider. Executed notebooks and ``book/`` are laid out as one source tree, so that a page has
+the same path in the repository and in the book. A failing notebook or a Sphinx warning fails the
+build.
 """
 
 import argparse
@@ -22,6 +23,7 @@ import nbformat
 from tqdm import tqdm
 
 from silem.report import glance, pdf, reads, results, style, web
+from silem.report.pages import slider
 from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
 from silem.util.files import lock, write_text
@@ -174,9 +176,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2, help="notebooks at a time")
     parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
     parser.add_argument("--pdf", action="store_true", help="print it to one file instead")
+    parser.add_argument("--film", metavar="RUN_ID", help="film a run while it learns instead")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
     try:
+        if options.film:
+            return slider.of_training(options.film)
         if options.figures:
             drawn = [*draw_figures(), *glance.write()]
             print(*(path.relative_to(REPO) for path in drawn), sep="\n")

@@ -3,16 +3,12 @@
 A picture is a uint8 array (H, W, 3), a `Clip` a sequence of them. Every clip comes from `rollout`
 (what a policy does) or from `motion` (given poses), with one frame for every two control steps.
 Clips become H.264 that every browser plays.
-
-``python -m silem.report.film RUN_ID`` repeats a run and films it while it learns (`of_training`).
 """
 
 from __future__ import annotations
 
 import math
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -22,7 +18,6 @@ from typing import Any
 import imageio.v3 as imageio
 import mujoco
 import numpy as np
-import torch
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
@@ -31,25 +26,16 @@ from tqdm import tqdm
 
 import silem
 from silem import bodies
-from silem.algorithms import PPO, SILEM
-from silem.algorithms.networks import AffineTransform
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
-from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.record import CHECKPOINT, CURVE, RunRecord, curve_csv
-from silem.study.training import Checkpoint, make_env, make_model, train
+from silem.study.record import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import BOUND, RATE, SilemError, choose
-from silem.util.paths import REPO
 
 Size = tuple[int, int]
-
-LEARNING = REPO / "book" / "_static" / "films"
-"""In a folder of a run's name, films of its policy while it learned: ``<iteration>.mp4``, and in
-``transforms.npz`` its T at every checkpoint: ``iteration`` (K,), ``A`` and ``b`` (K, F)."""
 
 SIZE: Size = (640, 480)
 """Width and height of a film by itself, pixels."""
@@ -64,7 +50,6 @@ _DARK = 96  # a background of less light than this gets a label in chalk
 _LABEL_SIZE = 0.055  # of the picture's height
 _STRIP_WIDTH, _WEBP_WIDTH = 1500, 320
 _GALLERY: Size = (480, 300)
-_SMALL: Size = (400, 300)
 
 
 @dataclass(frozen=True)
@@ -134,58 +119,6 @@ def of_runs(
         fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
         clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
     return clips
-
-
-def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
-    """Repeat a run and film it: before it learns, and at checkpoints that double up to the last.
-
-    Raises SilemError: There is no such run, or it ends with another curve than it is recorded with,
-    as on processors with other numerical kernels; nothing is written then.
-    """
-    if (record := runs.find(run_id)) is None:
-        raise SilemError(f"there is no finished run {run_id!r}")
-    budget, clips, transforms = record.run_config().budget, {}, []
-    every, last = budget.checkpoint_every, budget.n_iterations
-    filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
-    for reached, model in tqdm(_checkpoints(record), run_id, last // every + 1, unit="checkpoint"):
-        if reached.iteration in filmed:
-            clips[reached.iteration] = rollout(
-                record.run_config().learner, model, duration_s=5.0, size=_SMALL, progress=False
-            )
-        net = model.transform_net if isinstance(model, SILEM) else None
-        if isinstance(net, AffineTransform):
-            pair = [array.detach().numpy().copy() for array in (net.scale, net.offset)]
-            transforms.append((reached.iteration, *pair))
-    if curve_csv(reached.curve) != record.file(CURVE).read_text():
-        raise SilemError(f"{run_id} ended here with another curve than it is recorded with")
-    for iteration, clip in clips.items():
-        write(folder / run_id / f"{iteration}.mp4", clip)
-    if transforms:
-        columns = (np.array(column) for column in zip(*transforms, strict=True))
-        arrays = dict(zip(("iteration", "A", "b"), columns, strict=True))
-        files.write_npz(folder / run_id / "transforms.npz", arrays)
-
-
-def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
-    """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
-    config = record.run_config()
-    demonstrations, sha = runs.load_demonstrations(config)
-    reached = Checkpoint.start(config, sha or "")
-    with tempfile.TemporaryDirectory() as folder:
-        while True:
-            with closing(make_env(config)) as env:
-                model = make_model(config, env, demonstrations)
-                if reached.iteration:
-                    model.load_state_arrays(reached.model)
-                yield reached, model
-                if reached.iteration == config.budget.n_iterations:
-                    return
-                try:  # as a run without time: to the next checkpoint
-                    train(model, config, Path(folder), reached, progress=False, until=-math.inf)
-                except KeyboardInterrupt as stop:
-                    if not stop.args:  # Ctrl-C
-                        raise
-            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha or "")
 
 
 def motion(
@@ -321,17 +254,3 @@ _ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
 def write(path: Path, clip: Clip) -> None:
     """Write a clip as an mp4 or a webp file, whichever its name ends in, whole or not at all."""
     files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
-
-
-def main() -> None:
-    """Repeat and film the runs that the command line names (`of_training`)."""
-    try:
-        torch.set_num_threads(1)
-        for run_id in sys.argv[1:]:
-            of_training(run_id)
-    except SilemError as error:
-        sys.exit(f"error: {error}")
-
-
-if __name__ == "__main__":
-    main()

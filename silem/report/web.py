@@ -33,7 +33,7 @@ from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
-from silem.report.film import LEARNING
+from silem.report.pages.slider import LEARNING
 from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
 from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord

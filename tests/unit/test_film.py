@@ -20,11 +20,6 @@ from silem import bodies
 from silem.report import film, notebook
 from silem.report.film import Clip
 from silem.study.config import RunConfig
-from silem.study.evaluate import Policy, load_policy
-from silem.study.record import TRANSFORM
-from silem.study.runs import run
-from silem.study.settings import BUDGETS
-from silem.util import files, paths
 from silem.util.errors import SilemError
 
 SMALL = 160, 120
@@ -208,43 +203,6 @@ def test_rollout_ends_with_the_episode_and_the_label_says_so(
     assert label == "PPO, falls at 0.1 s"
     # after 0, 2 and 4 steps; the fifth ends the episode
     assert np.array_equal(cut.frames, whole.frames[:3])
-
-
-def test_a_repeated_run_is_filmed_only_if_it_is_the_recorded_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    demonstrations = paths.demonstrations_dir()
-    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    paths.demonstrations_dir().symlink_to(demonstrations)
-    budget = BUDGETS["tiny"].with_iterations(2)
-    budget = dataclasses.replace(budget, name="small", checkpoint_every=1, n_eval_episodes=1)
-    record = run(RunConfig.create("HC1", "silem", budget=budget), progress=False)
-    filmed, real = [], film.rollout
-
-    def short(learner: bodies.Body, policy: Policy, **_: object) -> Clip:
-        filmed.append(real(learner, policy, duration_s=0.2, size=SMALL, progress=False))
-        return filmed[-1]
-
-    monkeypatch.setattr(film, "rollout", short)
-    film.of_training(record.run_id, 2, tmp_path / "films")
-    made = tmp_path / "films" / record.run_id
-    assert {path.name for path in made.iterdir()} == {"0.mp4", "2.mp4", "transforms.npz"}
-    learned, last = files.read_npz(made / "transforms.npz"), files.read_npz(record.file(TRANSFORM))
-    assert learned["iteration"].tolist() == [0, 1, 2]
-    for name, identity in (("A", 1), ("b", 0)):
-        assert (learned[name][0] == identity).all() and (learned[name][1] != identity).any()
-        np.testing.assert_array_equal(learned[name][-1], last[name])
-    # what is filmed last is the recorded policy, at first another
-    recorded = short(record.run_config().learner, load_policy(record))
-    assert np.array_equal(filmed[1].frames, recorded.frames)
-    assert not np.array_equal(filmed[0].frames, recorded.frames)
-
-    monkeypatch.setattr(film, "curve_csv", lambda curve: "another")
-    with pytest.raises(SilemError, match="another curve"):
-        film.of_training(record.run_id, 2, tmp_path / "none")
-    assert not (tmp_path / "none").exists()
-    with pytest.raises(SilemError, match="no finished run 'nobody'"):
-        film.of_training("nobody")
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])

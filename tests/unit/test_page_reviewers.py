@@ -110,5 +110,5 @@ def test_every_demonstration_has_a_card_with_a_licence(monkeypatch: pytest.Monke
     assert "cmu_08_01_on_Atlas.npz" in cards
     for row in cards.values():
         assert "licence: " in row["origin"] and "SHA-256" in row["file"]
-    assert "MIT" in cards["HC0.npz"]["origin"] and cards["HC0.npz"]["speed (m/s)"] == "2.61"
+    assert "MIT" in cards["HC0.npz"]["origin"] and "2.61 m/s" in cards["HC0.npz"]["holds"]
     assert "free for all uses" in cards["cmu_08_05.npz"]["origin"]

@@ -13,7 +13,7 @@ from scipy import stats
 from silem import bodies, paper
 from silem.motion.demonstrations import manifest
 from silem.report import claims, results, scores, statistics, style
-from silem.report.style import DASH, number
+from silem.report.style import number
 from silem.report.tables import small, styled
 
 
@@ -142,18 +142,17 @@ def cards() -> Styler:
             licence = f"{about['licence']} ({about['acknowledgement']})"
         if parent := about.get("retargeted_from"):
             origin += f", {parent} retargeted with {about['solver']}"
-        holds = f"{about['n_features']} features of each state, no actions, no rewards"
+        holds = [f"{about['n_features']} features of each state, no actions, no rewards"]
         if "n_states" in about:
-            holds = f"{about['n_states']} states, {about['rate_hz']:g} a second; {holds}"
-        failed = about.get("n_failed")
-        speed_m_s = about.get("speed_m_s", about.get("summary", {}).get("speed_m_s"))
+            holds.append(f"{about['n_states']} states, {about['rate_hz']:g} a second")
+        if speed_m_s := about.get("speed_m_s", about.get("summary", {}).get("speed_m_s")):
+            holds.append(f"{number(speed_m_s, 2)} m/s")
+        if about.get("n_failed") is not None:
+            holds.append(f"failed episodes: {about['n_failed']}, kept")
         row = {
-            "file": f"{name}.npz" + small(f"SHA-256 {about['sha256'][:16]}…"),
-            "body": about["body"],
+            "file": f"{name}.npz" + small(f"{about['body']}; SHA-256 {about['sha256'][:16]}…"),
             "origin": origin + small(f"licence: {licence}"),
-            "holds": holds,
-            "speed (m/s)": number(speed_m_s, 2),
-            "failed episodes": DASH if failed is None else f"{failed}, kept",
+            "holds": "; ".join(holds),
             "changed": ", ".join(about.get("repairs", [])) or "no repairs",
         }
         rows.append(row)
