@@ -109,16 +109,26 @@ def rollout(
 
 
 def of_runs(
-    records: Mapping[str, RunRecord], duration_s: float, size: Size = SIZE
+    runs: Mapping[str, RunRecord | None], duration_s: float, size: Size = SIZE
 ) -> dict[str, Clip]:
-    """Film the policies of finished runs by label, from one seed; labels now say who fell when."""
+    """Film the policies of runs by label, from one seed; blank where there is none.
+
+    Labels now say who fell when, and where there is no run.
+    """
     clips = {}
-    for label, run in records.items():
+    for label, run in runs.items():
+        if run is None:
+            clips[f"{label}: no run yet"] = _blank(size)
+            continue
         learner, policy = run.run_config().learner, load_policy(run)
         clip = rollout(learner, policy, duration_s=duration_s, size=size)
         fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
         clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
     return clips
+
+
+def _blank(size: Size) -> Clip:
+    return Clip(np.full((1, *size[::-1], 3), 255, np.uint8), 1)
 
 
 def motion(
@@ -161,12 +171,11 @@ def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> n
 
 def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> np.ndarray:
     """Picture (H, W, 3) runners at rest on one scale, each with the length that it varies by."""
-    blank = bool(why_no_pictures(names[0]))
-    stills = {}
+    blank, stills = bool(why_no_pictures(names[0])), {}
     for name in names:
         label = f"{name}: {bodies.get(name).length[1]:g} m{', not drawn here' if blank else ''}"
-        white = np.full((*_GALLERY[::-1], 3), 255, np.uint8)
-        stills[label] = Clip((white if blank else still(name, _GALLERY, span_m))[None], 1)
+        clip = _blank(_GALLERY) if blank else Clip(still(name, _GALLERY, span_m)[None], 1)
+        stills[label] = clip
     return grid(stills, n_columns, 2 * _LABEL_SIZE).frames[0]
 
 
@@ -181,10 +190,11 @@ def why_no_pictures(body: str) -> str:
 
 def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LABEL_SIZE) -> Clip:
     """Lay clips out in rows, each under its label; one that ends early holds its last frame."""
-    if len({(clip.frames_per_s, clip.frames.shape[1:]) for clip in clips.values()}) != 1:
+    sizes = {clip.frames.shape[1:] for clip in clips.values()}
+    rates = {clip.frames_per_s for clip in clips.values() if len(clip.frames) > 1} or {1.0}
+    if len(sizes) != 1 or len(rates) != 1:
         raise SilemError("the clips of a grid need one frame rate and one size, and there is none")
-    first = next(iter(clips.values()))
-    n_columns, (height, width) = min(n_columns, len(clips)), first.frames.shape[1:3]
+    n_columns, (height, width, _) = min(n_columns, len(clips)), sizes.pop()
     n_rows, n_frames = -(-len(clips) // n_columns), max(len(c.frames) for c in clips.values())
     down, across = height + _GAP, width + _GAP
     frames = np.full((n_frames, n_rows * down - _GAP, n_columns * across - _GAP, 3), 255, np.uint8)
@@ -193,7 +203,7 @@ def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LAB
         shown = np.minimum(np.arange(n_frames), len(clip.frames) - 1)
         panel = frames[:, top : top + height, left : left + width]
         panel[:] = _labelled(clip, label, label_size).frames[shown]
-    return Clip(frames, first.frames_per_s)
+    return Clip(frames, rates.pop())
 
 
 def _labelled(clip: Clip, label: str, size: float) -> Clip:

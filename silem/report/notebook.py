@@ -169,25 +169,16 @@ def play_trials(
 ) -> None:
     """Film the first trial of each method on a body, from one start and side by side.
 
-    Its seed was fixed before any run was made. What cannot be filmed is named instead; whoever
-    falls stands still from then on.
+    Its seed was fixed before any run was made. Whoever falls stands still from then on.
     """
-    if why := why_no_pictures(body):
-        return note(f"No videos of {body}: {why}")
-    chosen, absent = {}, []
-    first = records[records["seed"].eq(TRIAL_SEEDS[0])]
+    runs = {}
     for method in methods:
+        trials = results.cell(records[records["seed"].eq(TRIAL_SEEDS[0])], method, body)
         name = style.method(method, results.original_body(records)).name
-        runs = results.cell(first, method, body)["run_id"]
-        if len(runs):
-            chosen[name] = results.find(runs.iloc[0])
-        else:
-            absent.append(name)
-    if chosen:
-        clips = films.of_runs(chosen, duration_s)
-        play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")
-    if absent:
-        note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+        runs[name] = results.find(trials["run_id"].iloc[0]) if len(trials) else None
+    told = [name if run else f"{name}: no run yet" for name, run in runs.items()]
+    caption, made = f"{body}, first trials, in real time: {' | '.join(told)}", any(runs.values())
+    film(lambda: films.grid(films.of_runs(runs, duration_s)) if made else None, caption)
 
 
 def text(words: str) -> None:

@@ -195,8 +195,10 @@ def test_rollout_ends_with_the_episode_and_the_label_says_so(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     monkeypatch.setattr(film, "load_policy", lambda run: None)
     runs = {"PPO": synthetic.write_record(RunConfig.create("HC0", "ppo"))}
-    ((label, whole),) = film.of_runs(runs, 0.21, SMALL).items()
+    (label, whole), none = film.of_runs(runs | {"TPIL": None}, 0.21, SMALL).items()
     assert (label, len(whole.frames)) == ("PPO", 6)
+    assert none[0] == "TPIL: no run yet" and (none[1].frames == 255).all()
+    assert film.grid({label: whole, none[0]: none[1]}).frames_per_s == whole.frames_per_s
     make_vec = silem.make_vec
     monkeypatch.setattr(silem, "make_vec", lambda *a, **k: make_vec(*a, **k, max_steps=5))
     ((label, cut),) = film.of_runs(runs, 0.21, SMALL).items()
