@@ -28,10 +28,9 @@ import silem
 from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
-from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import BOUND, RATE, SilemError, choose
 
@@ -120,7 +119,7 @@ def of_runs(
         if run is None:
             clips[f"{label}: no run yet"] = _blank(size)
             continue
-        learner, policy = run.run_config().learner, load_policy(run)
+        learner, policy = run.run_config.learner, load_policy(run)
         clip = rollout(learner, policy, duration_s=duration_s, size=size)
         fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
         clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
@@ -141,7 +140,7 @@ def motion(
     """Film every other one of a humanoid's poses, (T, nq), in real time; no physics acts."""
     BOUND.check("duration_s", duration_s)
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
-    with closing(Camera(body_of(body), *size)) as camera:
+    with closing(Camera(bodies.of_kind(body, MujocoBody), *size)) as camera:
         pictures = np.stack([camera.picture(pose) for pose in shown])
     return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
 

@@ -68,7 +68,7 @@ def table_1(frame: pd.DataFrame) -> Styler:
 
 def ensembles(frame: pd.DataFrame) -> Styler:
     """Return Table 1 for K affine maps behind a gate and for the MLP: a row per body and f."""
-    counts = [results.find(run).run_config().hyper.transform_components for run in frame["run_id"]]
+    counts = [results.find(run).run_config.hyper.transform_components for run in frame["run_id"]]
     frame, rows = frame.assign(count=counts), []
     for body in ("HC0", "HC2", "Ant6"):
         kinds = [("silem", count) for count in (1, 2, 4, 8)] + [("silem-mlp", 1)] * (body == "HC0")

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page
 
 from silem.report import pdf, results, scores, style, web
 from silem.report.pages.slider import LEARNING
-from silem.study.record import CURVE
+from silem.study.runs import CURVE
 from silem.util import files
 
 pytestmark = pytest.mark.xdist_group("book")

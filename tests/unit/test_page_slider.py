@@ -13,8 +13,7 @@ from silem.report import film
 from silem.report.pages import slider
 from silem.study.config import RunConfig
 from silem.study.evaluate import Policy, load_policy
-from silem.study.record import TRANSFORM
-from silem.study.runs import run
+from silem.study.runs import TRANSFORM, run
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
 from silem.util.errors import SilemError
@@ -45,7 +44,7 @@ def test_a_repeated_run_is_filmed_only_if_it_is_the_recorded_one(
         assert (learned[name][0] == identity).all() and (learned[name][1] != identity).any()
         np.testing.assert_array_equal(learned[name][-1], last[name])
     # what is filmed last is the recorded policy, at first another
-    recorded = short(record.run_config().learner, load_policy(record))
+    recorded = short(record.run_config.learner, load_policy(record))
     assert np.array_equal(filmed[1].frames, recorded.frames)
     assert not np.array_equal(filmed[0].frames, recorded.frames)
 

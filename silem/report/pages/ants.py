@@ -16,8 +16,7 @@ from silem.report import results, scores, statistics, style, tables, transforms
 from silem.report.scores import IMITATORS
 from silem.report.style import number
 from silem.report.transforms import feature_names
-from silem.study.settings import BUDGETS
-from silem.study.studies import seeds_of
+from silem.study.studies import narrowed
 
 _FEWEST_BODIES, _NAMED = 4, 3  # that a rank correlation takes; entries that the sentence names
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
@@ -57,7 +56,7 @@ def absorbing_table(plain: pd.DataFrame, absorbing: pd.DataFrame) -> Styler:
     Only seeds that both plan are compared. The interval is Welch's, from two trials each on.
     """
     rows, (study, budget) = [], results.context(absorbing)
-    seeds = seeds_of(study, BUDGETS[budget])
+    seeds = narrowed(study, budget).seeds
     for body in results.body_names(absorbing):
         for method in (m for m in IMITATORS if results.is_planned(absorbing, m, body)):
             label = style.method(method, results.original_body(plain)).label

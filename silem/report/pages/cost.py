@@ -14,7 +14,7 @@ from silem.report import style
 from silem.report.style import DASH, number
 from silem.report.tables import styled
 from silem.report.web import records
-from silem.study.record import RECORD, git
+from silem.study.runs import RECORD, git
 from silem.study.studies import STUDIES, study_configs
 
 _COLUMNS = ("study", "family", "method", "cell", "steps", "wall_time_s", "processor_time_s",
@@ -28,7 +28,7 @@ def runs(budget: str = "book") -> pd.DataFrame:
     """
     made, dates, rows = {record.run_id: record for record in records()}, _published(), []
     plans = [plan for study in STUDIES for plan in study_configs(study, budget)]
-    every = {c.run_id: c for c in [*plans, *(record.run_config() for record in made.values())]}
+    every = {c.run_id: c for c in [*plans, *(record.run_config for record in made.values())]}
     for run_id, config in every.items():  # searches after the studies
         row: dict[str, Any] = {
             "study": config.study,

@@ -19,9 +19,9 @@ from silem.report import results, style, tables
 from silem.report.curves import QUANTITIES
 from silem.report.style import number
 from silem.study.config import RunConfig
-from silem.study.record import TRANSFORM
-from silem.study.settings import BUDGETS, HyperParameters
-from silem.study.studies import SEARCHED_FROM, cells, seeds_of
+from silem.study.runs import TRANSFORM
+from silem.study.settings import HyperParameters
+from silem.study.studies import SEARCHED_FROM, cells, narrowed
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -56,7 +56,7 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
     score = frame.set_index("run_id")["normalised"]
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for cell in cells(study):
-        configs = [cell.config(budget, seed) for seed in seeds_of(study, BUDGETS[budget])]
+        configs = [cell.config(budget, seed) for seed in narrowed(study, budget).seeds]
         usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
         began = SEARCHED_FROM[cell.method]
         changed = [item for item in cell.overrides if began.get(item[0]) != item[1]]
@@ -124,7 +124,7 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     for run_id in pd.concat([frame["run_id"] for frame in frames]).unique():
         record = results.find(run_id)
         if TRANSFORM in record.files:
-            config, arrays = record.run_config(), results.load_transform(run_id)
+            config, arrays = record.run_config, results.load_transform(run_id)
             allowed = travel_allowed(config.hyper, config.budget.n_iterations)
             largest = {"A": np.abs(arrays["A"] - 1).max(), "b": np.abs(arrays["b"]).max()}
             rows.append({"run_id": run_id, "body": config.body, "allowed": allowed} | largest)

@@ -18,10 +18,10 @@ import torch
 from tqdm import tqdm
 
 from silem.algorithms import PPO, SILEM
-from silem.algorithms.networks import AffineTransform
+from silem.algorithms.silem import AffineTransform
 from silem.report import film
 from silem.study import runs
-from silem.study.record import CHECKPOINT, CURVE, RunRecord, curve_csv
+from silem.study.runs import CHECKPOINT, CURVE, RunRecord, curve_csv
 from silem.study.training import Checkpoint, make_env, make_model, train
 from silem.util import files
 from silem.util.errors import SilemError
@@ -45,13 +45,13 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
     if (record := runs.find(run_id)) is None:
         raise SilemError(f"there is no finished run {run_id!r}")
     torch.set_num_threads(1)
-    budget, clips, transforms = record.run_config().budget, {}, []
+    budget, clips, transforms = record.run_config.budget, {}, []
     every, last = budget.checkpoint_every, budget.n_iterations
     filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
     for reached, model in tqdm(_checkpoints(record), run_id, last // every + 1, unit="checkpoint"):
         if reached.iteration in filmed:
             clips[reached.iteration] = film.rollout(
-                record.run_config().learner, model, duration_s=5.0, size=_SIZE, progress=False
+                record.run_config.learner, model, duration_s=5.0, size=_SIZE, progress=False
             )
         net = model.transform_net if isinstance(model, SILEM) else None
         if isinstance(net, AffineTransform):
@@ -69,7 +69,7 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
 
 def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
     """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
-    config = record.run_config()
+    config = record.run_config
     demonstrations, sha = runs.load_demonstrations(config)
     reached = Checkpoint.start(config, sha or "")
     with tempfile.TemporaryDirectory() as folder:

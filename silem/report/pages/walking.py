@@ -24,8 +24,7 @@ from silem.report.claims import MARGIN
 from silem.report.curves import QUANTITIES, rises
 from silem.report.style import number
 from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
-from silem.study.settings import BUDGETS
-from silem.study.studies import cells, seeds_of
+from silem.study.studies import cells, narrowed
 from silem.study.training import task_options
 from silem.util import files, paths
 
@@ -91,7 +90,7 @@ def measured(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
     rows = {}
     for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
         run = results.find(run_id)
-        config, policy = run.run_config(), load_policy(run)
+        config, policy = run.run_config, load_policy(run)
         rate_hz, task = 1 / config.learner.control_step_s, task_options(config)
         seen = episodes(policy, config.learner, n_episodes, EVALUATION_SEED, **task)
         rows[run_id] = pd.DataFrame([_measures(e.features, rate_hz) for e in seen]).mean()
@@ -288,7 +287,7 @@ def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) 
 def search_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, what each setting of the rivals' search led to: return, steps survived."""
     study, budget = results.context(frame)
-    made, (seed,) = frame.set_index("run_id"), seeds_of(study, BUDGETS[budget])
+    made, (seed,) = frame.set_index("run_id"), narrowed(study, budget).seeds
     usual = {(c.method, c.body): len(c.overrides) for c in cells("humanoids")}
     table: dict[str, dict[str, str]] = {}
     for cell in cells(study):
