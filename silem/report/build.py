@@ -22,11 +22,10 @@ from typing import Any
 import nbformat
 from tqdm import tqdm
 
-from silem.report import glance, pdf, reads, results, style, web
+from silem.report import glance, pdf, reads, web
 from silem.report.pages import slider
-from silem.report.scores import normalised_scores
 from silem.util.errors import SilemError
-from silem.util.files import lock, write_text
+from silem.util.files import lock
 from silem.util.paths import REPO
 
 Parameters = Mapping[str, Mapping[str, Any]]
@@ -57,14 +56,6 @@ _FOLDED = {
 def notebooks() -> list[Path]:
     """Return the book's notebooks in their order."""
     return sorted((REPO / "notebooks").glob("[0-9][0-9]_*.ipynb"))
-
-
-def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
-    """Draw the figure that stands as a file in ``book/figures``: same records, same bytes."""
-    path = folder / "halfcheetah.svg"
-    figure = normalised_scores(results.load_records("halfcheetah", "book"))
-    write_text(path, style.svg(figure))
-    return [path]
 
 
 def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
@@ -183,9 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.film:
             return slider.of_training(options.film)
         if options.figures:
-            drawn = [*draw_figures(), *glance.write()]
-            print(*(path.relative_to(REPO) for path in drawn), sep="\n")
-            return
+            return print(*(path.relative_to(REPO) for path in glance.write()), sep="\n")
         made = REPO / "_build" / "silem.pdf"
         if options.pdf:
             pdf.write(build(options.workers, builder="singlehtml"), made)

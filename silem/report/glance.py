@@ -1,7 +1,7 @@
 """What README and the introduction begin with, written by `make figures` between their markers.
 
-The box says which claims hold, which do not and which are undecided, and what stands behind that;
-the film's caption says how many trials do.
+The box says which claims hold, which do not and which are undecided, and what stands behind that,
+with a figure; the film's caption says how many trials do.
 """
 
 import re
@@ -12,6 +12,7 @@ import pandas as pd
 
 from silem.report import claims, results, style
 from silem.report.pages import walking
+from silem.report.scores import normalised_scores
 from silem.report.web import BODIES, hours
 from silem.study.studies import STUDIES
 from silem.util import files
@@ -20,6 +21,7 @@ from silem.util.paths import REPO
 
 FAMILIES = {"halfcheetah": "HalfCheetah", "ant": "Ants", "humanoids": "Humanoids"}
 """The studies whose claims the box counts, and what to call their bodies."""
+FIGURE = REPO / "book" / "figures" / "halfcheetah.svg"
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]
 
 
@@ -37,7 +39,7 @@ def box(root: str = "") -> str:
             _behind(frames),
             "![Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies,"
             " minimum, mean and maximum over trials; right the forward speed of the same trials"
-            f" and of the experts.]({root}book/figures/halfcheetah.svg)",
+            f" and of the experts.]({root}{FIGURE.relative_to(REPO)})",
             "*Figure 2b from the committed runs, and the speed behind each score; empty slots are"
             " runs not made yet.*",
         ]
@@ -128,8 +130,14 @@ def filled(page: Path) -> str:
     return text
 
 
+def figure() -> str:
+    """Return the box's figure as SVG: same records, same text."""
+    return style.svg(normalised_scores(results.load_records("halfcheetah", "book")))
+
+
 def write() -> list[Path]:
-    """Write every generated block into its page, and return the pages."""
-    for page in PAGES:
-        files.write_text(page, filled(page))
-    return list(PAGES)
+    """Write the figure, and every generated block into its page; return the files."""
+    written = {FIGURE: figure()} | {page: filled(page) for page in PAGES}
+    for path, text in written.items():
+        files.write_text(path, text)
+    return list(written)

@@ -43,6 +43,7 @@ def test_the_pages_say_what_the_committed_records_say(
 ) -> None:
     monkeypatch.delenv("SILEM_DATA_DIR", raising=False)
     assert page.read_text() == glance.filled(page), "run `make figures` and commit what it writes"
+    assert glance.FIGURE.read_text() == glance.figure(), "run `make figures`"
 
 
 def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:

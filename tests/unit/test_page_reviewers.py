@@ -48,7 +48,9 @@ def test_a_run_that_no_study_plans_is_counted_after_them() -> None:
 
 
 def test_hours_left_are_the_missing_steps_at_the_speed_of_the_like() -> None:
-    assert pd.isna(cost.counts(cost.runs())["hours_left"])
+    none = cost.runs()
+    assert pd.isna(cost.counts(none)["hours_left"])
+    assert all("no run" in page(none).to_html() for page in (cost.by_method, cost.by_processor))
     synthetic.write_record(RunConfig.create("HC0", "ppo", budget="book", seed=0))
     runs = cost.runs()
     made, left = runs[runs["wall_time_s"].notna()], runs[runs["wall_time_s"].isna()]

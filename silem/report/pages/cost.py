@@ -99,14 +99,14 @@ def by_method(runs: pd.DataFrame) -> Styler:
         row |= {"million steps": number(float(steps), 1), "runs": len(alike)}
         row |= {"hours, mean": number(alike["wall_time_s"].mean() / 3600, 2)}
         rows.append(row | {"steps a second, mean": number(alike["speed"].mean())})
-    return styled(pd.DataFrame(rows, columns=list(rows[0]) if rows else ["family", "method"]))
+    return styled(pd.DataFrame(rows or [{"runs": "no run"}]))
 
 
 def by_processor(runs: pd.DataFrame) -> Styler:
     """Return which processors made the runs."""
     groups = _split(runs)[0].groupby("processor")
     rows = [{"processor": name, "runs": len(alike)} | _hours(alike) for name, alike in groups]
-    return styled(pd.DataFrame(rows, columns=list(rows[0]) if rows else ["processor", "runs"]))
+    return styled(pd.DataFrame(rows or [{"runs": "no run"}]))
 
 
 def _hours(runs: pd.DataFrame) -> dict[str, str]:
