@@ -5,8 +5,6 @@ A picture is a uint8 array (H, W, 3), a `Clip` a sequence of them. Every clip co
 Clips become H.264 that every browser plays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing

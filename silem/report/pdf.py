@@ -4,8 +4,6 @@ Debian's packages ``chromium`` and ``fonts-liberation`` are all that it needs be
 environment.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -8,8 +8,6 @@ float32 values, little-endian: the observation's mean and scale, then weights (o
 of each layer of the policy, then its log standard deviations.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import gzip
@@ -20,7 +18,6 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -33,12 +30,9 @@ from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
-from silem.report.pages.slider import LEARNING
+from silem.report.pages import slider
 from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
-from silem.study.runs import CURVE, TRANSFORM, RunRecord, recorded
-from silem.study.settings import METHODS
-from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
@@ -121,66 +115,6 @@ def physics(cache: Path) -> dict[str, bytes] | None:
 _MEMBERS = ("mujoco.js", "mujoco.wasm")
 
 
-def records() -> list[RunRecord]:
-    """Return every published record, in the order of the studies, bodies and methods."""
-    found = [RunRecord.load(folder) for folder in recorded()]
-    order = list(STUDIES), bodies.names(), list(METHODS)
-
-    def rank(record: RunRecord) -> tuple[Any, ...]:
-        keys = [record.config[name] for name in ("study", "body", "method")]
-        ranks = [o.index(k) if k in o else len(o) for o, k in zip(order, keys, strict=True)]
-        return *ranks, -record.training["n_steps"], record.config["seed"]
-
-    return sorted(found, key=rank)
-
-
-def learning_pack() -> bytes:
-    """Return the curves of all published runs that learned, and the T that each ended with.
-
-    Of those that were filmed while they learned also the iterations of the films, and each T.
-    """
-    runs = []
-    for record in records():
-        config = record.config
-        if CURVE not in record.files or config["study"] not in STUDIES:  # a search has too many
-            continue
-        curve = files.read_csv(record.file(CURVE))
-        run = {name: config[name] for name in ("study", "body", "method", "seed")}
-        run |= {
-            "id": record.run_id,
-            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
-            f" {config['budget']['n_iterations']:,} iterations",
-            "colour": style.method(config["method"]).color,
-            "curve": {name: _plain(column) for name, column in curve.items()},
-        }
-        if TRANSFORM in record.files:
-            arrays = files.read_npz(record.file(TRANSFORM))
-            if arrays.keys() == {"A", "b"}:
-                run |= {name: _plain(array) for name, array in arrays.items()}
-        if films := sorted(int(film.stem) for film in (LEARNING / record.run_id).glob("*.mp4")):
-            run["films"] = films
-        if (learned := LEARNING / record.run_id / "transforms.npz").exists():
-            arrays = files.read_npz(learned)
-            run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
-            run["learned"]["iteration"] = arrays["iteration"].tolist()
-        runs.append(run)
-    labels = Counter((run["study"], run["body"], run["label"]) for run in runs)
-    for run in runs:  # those of a search differ in settings alone
-        if labels[run["study"], run["body"], run["label"]] > 1:
-            run["label"] += f", {run['id'].rpartition('_')[2]}"
-    used = dict.fromkeys(run["body"] for run in runs if "A" in run)
-    data = {
-        "runs": runs,
-        "features": {body: feature_names(body) for body in used},
-        "studies": {name: STUDIES[name].about for name in STUDIES},
-    }
-    return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
-
-
-def _plain(values: np.ndarray) -> list[float | None]:
-    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
-
-
 # ---------------------------------------------------------------- under a figure
 
 
@@ -237,7 +171,7 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
     """
     mujoco, sizes = distribution("mujoco"), {}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
-    packs |= {"learning": learning_pack()} | (physics(cache) or {})
+    packs |= {"learning": slider.learning_pack()} | (physics(cache) or {})
     for name, data in packs.items():
         text = pack(name, data)
         sizes[name] = len(text)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import io
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from silem.report import pdf, results, scores, style, web
-from silem.report.pages.slider import LEARNING
+from silem.report.pages.slider import LEARNING, learning_pack, records
 from silem.study.runs import CURVE
 from silem.util import files
 
@@ -121,10 +123,10 @@ def test_the_slider_plays_compares_and_leaves_out_what_a_run_has_not(opened: Ope
 
 
 def test_the_packs_hold_every_published_curve() -> None:
-    found = [record for record in web.records() if CURVE in record.files]
+    found = [record for record in records() if CURVE in record.files]
     assert len(found) > 30
-    pack = web.learning_pack()
-    runs = web.json.loads(web.gzip.decompress(pack))["runs"]
+    pack = learning_pack()
+    runs = json.loads(gzip.decompress(pack))["runs"]
     assert len(runs) == len(found) and all(runs[0]["curve"].values())
     # readers can tell the runs of a body apart
     assert len({(run["study"], run["body"], run["label"]) for run in runs}) == len(runs)

@@ -1,7 +1,5 @@
 """The page of what the book cost: runs, steps, hours, counted from the published records."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -13,8 +11,7 @@ from silem import bodies
 from silem.report import style
 from silem.report.style import DASH, number
 from silem.report.tables import styled
-from silem.report.web import records
-from silem.study.runs import RECORD, git
+from silem.study.runs import RECORD, RunRecord, git, recorded
 from silem.study.studies import STUDIES, study_configs
 
 _COLUMNS = ("study", "family", "method", "cell", "steps", "wall_time_s", "processor_time_s",
@@ -26,7 +23,8 @@ def runs(budget: str = "book") -> pd.DataFrame:
 
     Steps are in millions. What only a record tells, the times among it, is NaN where there is none.
     """
-    made, dates, rows = {record.run_id: record for record in records()}, _published(), []
+    made = {folder.name: RunRecord.load(folder) for folder in recorded()}
+    dates, rows = _published(), list[dict[str, Any]]()
     plans = [plan for study in STUDIES for plan in study_configs(study, budget)]
     every = {c.run_id: c for c in [*plans, *(record.run_config for record in made.values())]}
     for run_id, config in every.items():  # searches after the studies

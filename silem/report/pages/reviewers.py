@@ -1,7 +1,5 @@
 """The page for reviewers: the claims in short, improvement and profiles, where data is from."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

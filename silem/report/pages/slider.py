@@ -1,27 +1,33 @@
-"""The page of the slider: runs that were filmed while they learned.
+"""The page of the slider: all runs' curves, and films of runs while they learned.
 
 A run keeps its last policy alone, so that filming it means to train it again. This is the one place
 where the book's code does so: it changes no record, and keeps nothing of a run that ends otherwise
 than it is recorded. ``python -m silem.report.build --film RUN_ID`` calls `of_training`.
 """
 
-from __future__ import annotations
-
+import gzip
+import json
 import math
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
+from silem import bodies
 from silem.algorithms import PPO, SILEM
 from silem.algorithms.silem import AffineTransform
-from silem.report import film
+from silem.report import film, style
+from silem.report.transforms import feature_names
 from silem.study import runs
-from silem.study.runs import CHECKPOINT, CURVE, RunRecord, curve_csv
+from silem.study.runs import CHECKPOINT, CURVE, TRANSFORM, RunRecord, curve_csv, recorded
+from silem.study.settings import METHODS
+from silem.study.studies import STUDIES
 from silem.study.training import Checkpoint, make_env, make_model, train
 from silem.util import files
 from silem.util.errors import SilemError
@@ -87,3 +93,63 @@ def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
                     if not stop.args:  # Ctrl-C
                         raise
             reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha or "")
+
+
+def records() -> list[RunRecord]:
+    """Return every published record, in the order of the studies, bodies and methods."""
+    found = [RunRecord.load(folder) for folder in recorded()]
+    order = list(STUDIES), bodies.names(), list(METHODS)
+
+    def rank(record: RunRecord) -> tuple[Any, ...]:
+        keys = [record.config[name] for name in ("study", "body", "method")]
+        ranks = [o.index(k) if k in o else len(o) for o, k in zip(order, keys, strict=True)]
+        return *ranks, -record.training["n_steps"], record.config["seed"]
+
+    return sorted(found, key=rank)
+
+
+def learning_pack() -> bytes:
+    """Return the curves of all published runs that learned, and the T that each ended with.
+
+    Of those that were filmed while they learned also the iterations of the films, and each T.
+    """
+    runs = []
+    for record in records():
+        config = record.config
+        if CURVE not in record.files or config["study"] not in STUDIES:  # a search has too many
+            continue
+        curve = files.read_csv(record.file(CURVE))
+        run = {name: config[name] for name in ("study", "body", "method", "seed")}
+        run |= {
+            "id": record.run_id,
+            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
+            f" {config['budget']['n_iterations']:,} iterations",
+            "colour": style.method(config["method"]).color,
+            "curve": {name: _plain(column) for name, column in curve.items()},
+        }
+        if TRANSFORM in record.files:
+            arrays = files.read_npz(record.file(TRANSFORM))
+            if arrays.keys() == {"A", "b"}:
+                run |= {name: _plain(array) for name, array in arrays.items()}
+        if films := sorted(int(film.stem) for film in (LEARNING / record.run_id).glob("*.mp4")):
+            run["films"] = films
+        if (learned := LEARNING / record.run_id / "transforms.npz").exists():
+            arrays = files.read_npz(learned)
+            run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
+            run["learned"]["iteration"] = arrays["iteration"].tolist()
+        runs.append(run)
+    labels = Counter((run["study"], run["body"], run["label"]) for run in runs)
+    for run in runs:  # those of a search differ in settings alone
+        if labels[run["study"], run["body"], run["label"]] > 1:
+            run["label"] += f", {run['id'].rpartition('_')[2]}"
+    used = dict.fromkeys(run["body"] for run in runs if "A" in run)
+    data = {
+        "runs": runs,
+        "features": {body: feature_names(body) for body in used},
+        "studies": {name: STUDIES[name].about for name in STUDIES},
+    }
+    return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
