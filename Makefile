@@ -33,7 +33,7 @@ book: $(STAMP) ## execute the notebooks and build the book: _build/html/index.ht
 	$(BIN)/python -m silem.report.build --workers $(WORKERS)
 
 pdf: $(STAMP) ## the whole book as _build/silem.pdf, printed by Debian's chromium
-	$(BIN)/python -m silem.report.pdf
+	$(BIN)/python -m silem.report.build --workers $(WORKERS) --pdf
 
 test: $(STAMP) ## run the tests, notebooks and built book included
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup tests

@@ -1,13 +1,13 @@
 """Build the book: execute the notebooks, stage them with the prose, run jupyter-book.
 
 ``python -m silem.report.build`` is what ``make book`` calls; with ``--figures`` it redraws instead
-the committed figures. Executed notebooks and ``book/`` are laid out as one source tree, so that a
-page has the same path in the repository and in the book. A failing notebook or a Sphinx warning
-fails the build.
+the committed figures, with ``--pdf`` it prints the book to one file, with ``--film`` it films a run
+for the slider. Executed notebooks and ``book/`` are laid out as one source tree, so that a page has
+the same path in the repository and in the book. A failing notebook or a Sphinx warning fails the
+build.
 """
 
 import argparse
-import hashlib
 import os
 import shutil
 import subprocess
@@ -22,11 +22,11 @@ from typing import Any
 import nbformat
 from tqdm import tqdm
 
-from silem.report import glance, reads, results, style, web
-from silem.report.scores import normalised_scores
+from silem.report import glance, pdf, reads, web
+from silem.report.pages import slider
 from silem.util.errors import SilemError
-from silem.util.files import lock, read_json, write_json, write_text
-from silem.util.paths import REPO, data_dir
+from silem.util.files import lock
+from silem.util.paths import REPO
 
 Parameters = Mapping[str, Mapping[str, Any]]
 """By the notebook's name, the parameters that differ from its defaults."""
@@ -47,7 +47,6 @@ BOOK_PARAMETERS: Parameters = {
 """The book's own; the notebooks' defaults are made for tests."""
 
 _CELL_TIMEOUT_S = 900
-_STATE = "book.json"  # what a finished build was made from
 _FOLDED = {
     "parameters": "Show the parameters",
     "injected-parameters": "Show the parameters set for this book",
@@ -57,14 +56,6 @@ _FOLDED = {
 def notebooks() -> list[Path]:
     """Return the book's notebooks in their order."""
     return sorted((REPO / "notebooks").glob("[0-9][0-9]_*.ipynb"))
-
-
-def draw_figures(folder: Path = REPO / "book" / "figures") -> list[Path]:
-    """Draw the figure that stands as a file in ``book/figures``: same records, same bytes."""
-    path = folder / "halfcheetah.svg"
-    figure = normalised_scores(results.load_records("halfcheetah", "book"))
-    write_text(path, style.svg(figure))
-    return [path]
 
 
 def execute(paths: Sequence[Path], folder: Path, n_workers: int, parameters: Parameters) -> None:
@@ -131,43 +122,29 @@ def stage(executed: Path, target: Path) -> None:
         nbformat.write(notebook, target / "notebooks" / path.name)
 
 
-def build_html(source: Path, output: Path) -> None:
-    """Run jupyter-book on a staged source tree, warnings being errors, into ``_build/html``."""
-    for stale in ("html", ".doctrees", "jupyter_execute"):
-        shutil.rmtree(output / "_build" / stale, ignore_errors=True)
+def sphinx(source: Path, output: Path, builder: str = "html") -> Path:
+    """Run jupyter-book on a staged source tree, into a builder's folder, which is returned.
+
+    HTML's warnings are errors; the single page of a PDF repeats them. SilemError if it fails.
+    """
+    pages = output / "_build" / builder
+    for stale in (builder, ".doctrees", "jupyter_execute"):
+        shutil.rmtree(pages.with_name(stale), ignore_errors=True)
     program = Path(sys.executable).with_name("jupyter-book")
-    command = [str(program), "build", str(source), "--path-output", str(output)]
-    command += ["-W", "-n", "--keep-going", "-q"]
+    command = [str(program), "build", str(source), "--path-output", str(output), "-q"]
+    command += ["-W", "-n", "--keep-going"] if builder == "html" else ["--builder", builder]
     # sphinx-external-toc looks at every object there is, torch's deprecated ones included.
     environment = os.environ | {"PYTHONWARNINGS": "ignore::FutureWarning"}
     if subprocess.run(command, env=environment, check=False).returncode:
         raise SilemError("the book did not build; its warnings and errors are listed above")
-
-
-def source_digest() -> str:
-    """Return one SHA-256 over everything the book is made from: code, words, records."""
-    folders = [REPO / name for name in ("book", "notebooks", "silem", "data/search")]
-    folders += [data_dir() / name for name in ("results", "demonstrations")]
-    found = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-    found += [REPO / name for name in ("_config.yml", "_toc.yml", "environment.txt")]
-    digest = hashlib.sha256()
-    for path in sorted(path for path in found if "__pycache__" not in path.parts):
-        digest.update(str(path).encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def current(root: Path = REPO) -> Path | None:
-    """Return the pages under `root`, None unless they were built from what is here now."""
-    pages, state = root / "_build" / "html", root / "_build" / _STATE
-    built = (pages / "index.html").exists() and state.exists()
-    return pages if built and read_json(state)["digest"] == source_digest() else None
+    return pages
 
 
 def build(
     n_workers: int = 2,
     root: Path = REPO,
     parameters: Parameters = BOOK_PARAMETERS,
+    builder: str = "html",
 ) -> Path:
     """Build the whole book in ``_build`` under `root`, and return the folder of its pages.
 
@@ -176,32 +153,34 @@ def build(
     folder = root / "_build"
     executed, source = folder / "executed", folder / "source"
     with lock(folder / "book.lock"):
-        (folder / _STATE).unlink(missing_ok=True)
-        digest = source_digest()
         execute(notebooks(), executed, n_workers, parameters)
         stage(executed, source)
         web.write(source / "book" / "_static" / "web")
-        build_html(source, root)
-        web.finish(folder / "html")
-        write_json(folder / _STATE, {"digest": digest})
-    return folder / "html"
+        pages = sphinx(source, root, builder)
+        web.finish(pages)
+    return pages
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build the book, or draw its figures, from the command line; return the exit status."""
+    """Build the book, or draw its figures, from the command line."""
     parser = argparse.ArgumentParser(prog="python -m silem.report.build", description=__doc__)
     parser.add_argument("--workers", type=int, default=2, help="notebooks at a time")
     parser.add_argument("--figures", action="store_true", help="redraw book/figures instead")
+    parser.add_argument("--pdf", action="store_true", help="print it to one file instead")
+    parser.add_argument("--film", metavar="RUN_ID", help="film a run while it learns instead")
     options = parser.parse_args(arguments)
     started = time.perf_counter()
     try:
+        if options.film:
+            return slider.of_training(options.film)
         if options.figures:
-            drawn = [*draw_figures(), *glance.write()]
-            print(*(path.relative_to(REPO) for path in drawn), sep="\n")
+            return print(*(path.relative_to(REPO) for path in glance.write()), sep="\n")
+        made = REPO / "_build" / "silem.pdf"
+        if options.pdf:
+            pdf.write(build(options.workers, builder="singlehtml"), made)
         else:
-            pages = build(options.workers)
-            seconds = time.perf_counter() - started
-            print(f"The book is built ({seconds:.0f} s). Open {pages / 'index.html'}")
+            made = build(options.workers) / "index.html"
+        print(f"The book is built ({time.perf_counter() - started:.0f} s). Open {made}")
     except SilemError as error:
         sys.exit(f"error: {error}")
 

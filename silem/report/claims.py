@@ -330,7 +330,7 @@ def table(frame: pd.DataFrame) -> Styler:
         for name, (runs, found) in judged.items():
             entry, planned = found.iloc[index], results.n_trials(runs)
             row[name, "value"] = "<br>".join(
-                _value(finding, planned, alone=len(entry.findings) == 1, trials=i == 0)
+                value(finding, planned, alone=len(entry.findings) == 1, trials=i == 0)
                 for i, finding in enumerate(entry.findings)
             )
             row[name, "verdict"] = f"<b>{entry.verdict}</b>" + small(entry.reason)
@@ -349,7 +349,7 @@ def gap(frame: pd.DataFrame) -> pd.DataFrame:
             for name, runs in losses.items():
                 if runs is not None:
                     (finding,), verdict, _ = claim.judge(runs)
-                    told = _value(finding, results.n_trials(runs), alone=True, trials=True)
+                    told = value(finding, results.n_trials(runs), alone=True, trials=True)
                     row[f"SILEM less SILEM⁻, {name}"] = told
                     appears.append((name, finding.enough and verdict == HOLDS, finding.enough))
             where = " and ".join(name for name, holds, _ in appears if holds) or "neither"
@@ -369,7 +369,7 @@ def rules() -> Styler:
     return styled(pd.DataFrame(RULES.items(), columns=["rule", "what it says"]))
 
 
-def _value(finding: Finding, planned: int, *, alone: bool, trials: bool) -> str:
+def value(finding: Finding, planned: int, *, alone: bool, trials: bool) -> str:
     """Write a value with everything that bears on it; its name before it unless it is alone."""
     measure = finding.measure
     write = partial(number, digits=measure.digits)

@@ -3,16 +3,10 @@
 A picture is a uint8 array (H, W, 3), a `Clip` a sequence of them. Every clip comes from `rollout`
 (what a policy does) or from `motion` (given poses), with one frame for every two control steps.
 Clips become H.264 that every browser plays.
-
-``python -m silem.report.film RUN_ID`` repeats a run and films it while it learns (`of_training`).
 """
 
-from __future__ import annotations
-
 import math
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -22,7 +16,6 @@ from typing import Any
 import imageio.v3 as imageio
 import mujoco
 import numpy as np
-import torch
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
@@ -31,28 +24,15 @@ from tqdm import tqdm
 
 import silem
 from silem import bodies
-from silem.algorithms import PPO, SILEM
-from silem.algorithms.silem import AffineTransform
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.motion import demonstrator
-from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.runs import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
-from silem.study.training import Checkpoint, make_env, make_model, train
+from silem.study.runs import RunRecord
 from silem.util import files, seeding
-from silem.util.errors import SilemError, choose
-from silem.util.paths import REPO
+from silem.util.errors import BOUND, RATE, SilemError, choose
 
 Size = tuple[int, int]
-
-LEARNING = REPO / "book" / "_static" / "films"
-"""In a folder of a run's name, films of its policy while it learned: ``<iteration>.mp4``, and in
-``transforms.npz`` its T at every checkpoint: ``iteration`` (K,), ``A`` and ``b`` (K, F)."""
-
-LEARNING = REPO / "book" / "_static" / "films"
-"""The films of runs while they learn, in a folder of the run's name: ``<iteration>.mp4``, and in
-``transforms.npz`` the T of each checkpoint."""
 
 SIZE: Size = (640, 480)
 """Width and height of a film by itself, pixels."""
@@ -67,7 +47,6 @@ _DARK = 96  # a background of less light than this gets a label in chalk
 _LABEL_SIZE = 0.055  # of the picture's height
 _STRIP_WIDTH, _WEBP_WIDTH = 1500, 320
 _GALLERY: Size = (480, 300)
-_SMALL: Size = (400, 300)
 
 
 @dataclass(frozen=True)
@@ -104,8 +83,7 @@ def rollout(
         SilemError: The duration is not positive, or nothing can be drawn offscreen here.
     """
     found = bodies.get(body) if isinstance(body, str) else body
-    if not (duration_s > 0 and math.isfinite(duration_s)):
-        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    RATE.check("duration_s", duration_s)
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or RandomPolicy(found)
@@ -128,11 +106,17 @@ def rollout(
 
 
 def of_runs(
-    records: Mapping[str, RunRecord], duration_s: float, size: Size = SIZE
+    runs: Mapping[str, RunRecord | None], duration_s: float, size: Size = SIZE
 ) -> dict[str, Clip]:
-    """Film the policies of finished runs by label, from one seed; labels now say who fell when."""
+    """Film the policies of runs by label, from one seed; blank where there is none.
+
+    Labels now say who fell when, and where there is no run.
+    """
     clips = {}
-    for label, run in records.items():
+    for label, run in runs.items():
+        if run is None:
+            clips[f"{label}: no run yet"] = _blank(size)
+            continue
         learner, policy = run.run_config.learner, load_policy(run)
         clip = rollout(learner, policy, duration_s=duration_s, size=size)
         fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
@@ -140,62 +124,8 @@ def of_runs(
     return clips
 
 
-def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
-    """Repeat a run and film it: before it learns, and at checkpoints that double up to the last.
-
-    Raises SilemError: There is no such run, or it ends with another curve than it is recorded with,
-    as on processors with other numerical kernels; nothing is written then.
-    """
-    record = runs.get(run_id)
-    budget, clips, transforms = record.run_config.budget, {}, []
-    every, last = budget.checkpoint_every, budget.n_iterations
-    filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
-    for reached, model in tqdm(_checkpoints(record), run_id, last // every + 1, unit="checkpoint"):
-        if reached.iteration in filmed:
-            clips[reached.iteration] = _of_now(model, record)
-        net = model.transform_net if isinstance(model, SILEM) else None
-        if isinstance(net, AffineTransform):
-            pair = [array.detach().numpy().copy() for array in (net.scale, net.offset)]
-            transforms.append((reached.iteration, *pair))
-    if curve_csv(reached.curve) != record.file(CURVE).read_text():
-        raise SilemError(f"{run_id} ended here with another curve than it is recorded with")
-    for iteration, clip in clips.items():
-        write(folder / run_id / f"{iteration}.mp4", clip)
-    if transforms:
-        columns = (np.array(column) for column in zip(*transforms, strict=True))
-        arrays = dict(zip(("iteration", "A", "b"), columns, strict=True))
-        files.write_npz(folder / run_id / "transforms.npz", arrays)
-
-
-def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
-    """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
-    config = record.run_config
-    demonstrations, sha = runs.load_demonstrations(config)
-    with tempfile.TemporaryDirectory() as folder:
-        while True:
-            reached = Checkpoint.load(Path(folder) / CHECKPOINT, config, sha)
-            with closing(make_env(config)) as env:
-                model = make_model(config, env, demonstrations)
-                if reached.iteration:
-                    model.load_state_arrays(reached.model)
-                yield reached, model
-                if reached.iteration == config.budget.n_iterations:
-                    return
-                try:  # as a run without time: to the next checkpoint
-                    train(model, config, Path(folder), reached, progress=False, until=-math.inf)
-                except KeyboardInterrupt as stop:
-                    if not stop.args:  # Ctrl-C
-                        raise
-
-
-def _of_now(model: PPO, record: RunRecord) -> Clip:
-    """Film what the model of a run that is under way does."""
-    with tempfile.TemporaryDirectory() as name:
-        policy = Path(name) / POLICY
-        model.export_policy(policy)
-        now = replace(record, folder=policy.parent, files={POLICY: files.sha256(policy)})
-        learner = record.run_config.learner
-        return rollout(learner, load_policy(now), duration_s=5.0, size=_SMALL, progress=False)
+def _blank(size: Size) -> Clip:
+    return Clip(np.full((1, *size[::-1], 3), 255, np.uint8), 1)
 
 
 def motion(
@@ -206,8 +136,7 @@ def motion(
     size: Size = SIZE,
 ) -> Clip:
     """Film every other one of a humanoid's poses, (T, nq), in real time; no physics acts."""
-    if not duration_s > 0:
-        raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
+    BOUND.check("duration_s", duration_s)
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
     with closing(Camera(bodies.of_kind(body, MujocoBody), *size)) as camera:
         pictures = np.stack([camera.picture(pose) for pose in shown])
@@ -231,22 +160,19 @@ def man() -> MujocoBody:
 
 
 def still(body: Body | str, size: Size = SIZE, span_m: float | None = None) -> np.ndarray:
-    """Picture (H, W, 3) a body at rest, fitted to it or, of a runner, `span_m` metres wide."""
+    """Picture (H, W, 3) a body at rest, fitted to it or, with `span_m`, so many metres of it."""
     found = bodies.get(body) if isinstance(body, str) else body
-    if isinstance(found, MujocoBody) and span_m is not None:
-        raise SilemError(f"span_m is for runners; the camera fits {found.name} by its height")
     with closing(Camera(found, *size, span_m)) as camera:
         return camera.picture()
 
 
 def gallery(names: Sequence[str], span_m: float, n_columns: int = 3) -> np.ndarray:
     """Picture (H, W, 3) runners at rest on one scale, each with the length that it varies by."""
-    blank = bool(why_no_pictures(names[0]))
-    stills = {}
+    blank, stills = bool(why_no_pictures(names[0])), {}
     for name in names:
         label = f"{name}: {bodies.get(name).length[1]:g} m{', not drawn here' if blank else ''}"
-        white = np.full((*_GALLERY[::-1], 3), 255, np.uint8)
-        stills[label] = Clip((white if blank else still(name, _GALLERY, span_m))[None], 1)
+        clip = _blank(_GALLERY) if blank else Clip(still(name, _GALLERY, span_m)[None], 1)
+        stills[label] = clip
     return grid(stills, n_columns, 2 * _LABEL_SIZE).frames[0]
 
 
@@ -261,10 +187,11 @@ def why_no_pictures(body: str) -> str:
 
 def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LABEL_SIZE) -> Clip:
     """Lay clips out in rows, each under its label; one that ends early holds its last frame."""
-    if len({(clip.frames_per_s, clip.frames.shape[1:]) for clip in clips.values()}) != 1:
+    sizes = {clip.frames.shape[1:] for clip in clips.values()}
+    rates = {clip.frames_per_s for clip in clips.values() if len(clip.frames) > 1} or {1.0}
+    if len(sizes) != 1 or len(rates) != 1:
         raise SilemError("the clips of a grid need one frame rate and one size, and there is none")
-    first = next(iter(clips.values()))
-    n_columns, (height, width) = min(n_columns, len(clips)), first.frames.shape[1:3]
+    n_columns, (height, width, _) = min(n_columns, len(clips)), sizes.pop()
     n_rows, n_frames = -(-len(clips) // n_columns), max(len(c.frames) for c in clips.values())
     down, across = height + _GAP, width + _GAP
     frames = np.full((n_frames, n_rows * down - _GAP, n_columns * across - _GAP, 3), 255, np.uint8)
@@ -273,7 +200,7 @@ def grid(clips: Mapping[str, Clip], n_columns: int = 3, label_size: float = _LAB
         shown = np.minimum(np.arange(n_frames), len(clip.frames) - 1)
         panel = frames[:, top : top + height, left : left + width]
         panel[:] = _labelled(clip, label, label_size).frames[shown]
-    return Clip(frames, first.frames_per_s)
+    return Clip(frames, rates.pop())
 
 
 def _labelled(clip: Clip, label: str, size: float) -> Clip:
@@ -334,17 +261,3 @@ _ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
 def write(path: Path, clip: Clip) -> None:
     """Write a clip as an mp4 or a webp file, whichever its name ends in, whole or not at all."""
     files.write_bytes(path, _ENCODERS[choose("kind of film", path.suffix, _ENCODERS)](clip))
-
-
-def main() -> None:
-    """Repeat and film the runs that the command line names (`of_training`)."""
-    try:
-        torch.set_num_threads(1)
-        for run_id in sys.argv[1:]:
-            of_training(run_id)
-    except SilemError as error:
-        sys.exit(f"error: {error}")
-
-
-if __name__ == "__main__":
-    main()

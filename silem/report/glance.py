@@ -1,7 +1,7 @@
 """What README and the introduction begin with, written by `make figures` between their markers.
 
-The box says which claims hold, which do not and which are undecided, and what stands behind that;
-the film's caption says how many trials do.
+The box says which claims hold, which do not and which are undecided, and what stands behind that,
+with a figure; the film's caption says how many trials do.
 """
 
 import re
@@ -12,24 +12,22 @@ import pandas as pd
 
 from silem.report import claims, results, style
 from silem.report.pages import walking
+from silem.report.scores import normalised_scores
+from silem.report.web import BODIES, hours
+from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
-STUDIES = {
-    "halfcheetah": "HalfCheetah, Figure 2b and Table 1",
-    "ant": "Ants, Figure 2d",
-    "humanoids": "Humanoids, Figures 3b, 4a and 4b",
-}
+FAMILIES = {"halfcheetah": "HalfCheetah", "ant": "Ants", "humanoids": "Humanoids"}
+"""The studies whose claims the box counts, and what to call their bodies."""
+FIGURE = REPO / "book" / "figures" / "halfcheetah.svg"
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]
-FILM = "silem_Humanoid_from_cmu_08_01_book_s0_b5918e5b"
-"""The run that README films."""
 
 
 def box(root: str = "") -> str:
     """Return the box as Markdown; `root` is the way from its page to the repository's root."""
-    frames = [results.load_records(study, "book") for study in STUDIES]
-    tables = [_matrix(*pair) for pair in zip(STUDIES.values(), frames, strict=True)]
+    frames = [results.load_records(study, "book") for study in FAMILIES]
     return "\n\n".join(
         [
             "## At a glance",
@@ -37,18 +35,18 @@ def box(root: str = "") -> str:
             " do that, do here what the paper claims? Each claim is judged [by a rule fixed before"
             f" its runs were complete]({root}notebooks/07_scorecard.ipynb), on the bodies that are"
             " named.",
-            *tables,
+            *map(_matrix, frames),
             _behind(frames),
             "![Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies,"
             " minimum, mean and maximum over trials; right the forward speed of the same trials"
-            f" and of the experts.]({root}book/figures/halfcheetah.svg)",
+            f" and of the experts.]({root}{FIGURE.relative_to(REPO)})",
             "*Figure 2b from the committed runs, and the speed behind each score; empty slots are"
             " runs not made yet.*",
         ]
     )
 
 
-def _matrix(name: str, frame: pd.DataFrame) -> str:
+def _matrix(frame: pd.DataFrame) -> str:
     """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
     found = claims.evaluate(frame)
     spans = found["reason"].str.contains("spans the bound")
@@ -62,6 +60,8 @@ def _matrix(name: str, frame: pd.DataFrame) -> str:
     table = table.reindex(pd.unique(pd.Series(title)), columns=_VERDICTS, fill_value="")
     heads = [f"{verdict} ({(found['verdict'] == verdict).sum()})" for verdict in _VERDICTS]
     lines = [f"| {title} | {' | '.join(cells)} |" for title, *cells in table.itertuples()]
+    study, _ = results.context(frame)
+    name = f"{FAMILIES[study]}, {STUDIES[study].about}"
     head = f"**{name}: {len(found)} claims**\n\n| claim | {' | '.join(heads)} |\n"
     return head + "\n".join(["| --- | --- | --- | --- |", *lines])
 
@@ -79,22 +79,9 @@ def _behind(frames: list[pd.DataFrame]) -> str:
     missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
     return (
         f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread})"
-        f" and {_hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
+        f" and {hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
         " graphics card."
     )
-
-
-def _hours(runs: pd.DataFrame) -> str:
-    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
-    without = runs[runs["processor_time_s"].isna()]
-    hours = runs["processor_time_s"].sum() / 3600, without["wall_time_s"].sum() / 3600
-    if len(without) == len(runs) > 0:
-        return f"{hours[1]:.1f} hours of wall time"
-    words = f"{hours[0]:.1f} hours of processor time"
-    if len(without):
-        words += f" and {hours[1]:.1f} hours of wall time where that was not counted"
-        words += f" ({style.trials(len(without))})"
-    return words
 
 
 def film(_: str = "") -> str:
@@ -105,7 +92,7 @@ def film(_: str = "") -> str:
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"
         f" {parts[0]}; its rivals: {'; '.join(parts[1:])}."
-        f" `silem render {FILM} --out walk.mp4` films it again.*"
+        f" `silem render {BODIES['Humanoid']} --out walk.mp4` films it again.*"
     )
 
 
@@ -143,8 +130,14 @@ def filled(page: Path) -> str:
     return text
 
 
+def figure() -> str:
+    """Return the box's figure as SVG: same records, same text."""
+    return style.svg(normalised_scores(results.load_records("halfcheetah", "book")))
+
+
 def write() -> list[Path]:
-    """Write every generated block into its page, and return the pages."""
-    for page in PAGES:
-        files.write_text(page, filled(page))
-    return list(PAGES)
+    """Write the figure, and every generated block into its page; return the files."""
+    written = {FIGURE: figure()} | {page: filled(page) for page in PAGES}
+    for path, text in written.items():
+        files.write_text(path, text)
+    return list(written)

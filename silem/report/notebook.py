@@ -31,19 +31,18 @@ from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
 from silem.study.config import TRIAL_SEEDS
 from silem.util.errors import SilemError
 
-_PLAIN_TYPES = (str, int, float, bool, list, tuple, dict, type(None))
 _NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
 
 
 def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) -> SimpleNamespace:
     """Check a notebook's parameters and return them as attributes.
 
-    In Jupyter and papermill, the names checked are those assigned by the last cells that held
-    nothing but assignments of literals: the ``parameters`` cell and the one papermill injects.
-    Variables of other cells are no parameters, and the cell can be run again at any time.
+    The names checked are those assigned by the last cells that held nothing but assignments of
+    literals: the ``parameters`` cell and the one papermill injects. Variables of other cells are
+    no parameters, and the cell can be run again at any time.
 
     Args:
-        namespace: The notebook's ``globals()``, or a dict of parameters, which is checked whole.
+        namespace: The notebook's ``globals()``.
         **schema: For each parameter its type (``str``, ``int``, ``float`` or ``bool``) or the
             strings allowed. An ``int`` is taken for a ``float``; a ``bool`` is never a number.
 
@@ -65,9 +64,7 @@ def parameters(namespace: Mapping[str, Any], /, **schema: type | Sequence[str]) 
 
 
 def _given(namespace: Mapping[str, Any]) -> list[str]:
-    """Return the names set as parameters: in a notebook, by its last literal-only cells."""
-    if "get_ipython" not in namespace:
-        return [n for n, v in namespace.items() if n[:1] != "_" and isinstance(v, _PLAIN_TYPES)]
+    """Return the names set as parameters: by the notebook's last literal-only cells."""
     assigned = [literal_assignments(source) for source in namespace.get("In", [])]
     neighbours = [list(cells) for literal, cells in groupby(assigned, key=bool) if literal]
     names = chain(*neighbours[-1]) if neighbours else ()
@@ -172,25 +169,16 @@ def play_trials(
 ) -> None:
     """Film the first trial of each method on a body, from one start and side by side.
 
-    Its seed was fixed before any run was made. What cannot be filmed is named instead; whoever
-    falls stands still from then on.
+    Its seed was fixed before any run was made. Whoever falls stands still from then on.
     """
-    if why := why_no_pictures(body):
-        return note(f"No videos of {body}: {why}")
-    chosen, absent = {}, []
-    first = records[records["seed"].eq(TRIAL_SEEDS[0])]
+    runs = {}
     for method in methods:
+        trials = results.cell(records[records["seed"].eq(TRIAL_SEEDS[0])], method, body)
         name = style.method(method, results.original_body(records)).name
-        runs = results.cell(first, method, body)["run_id"]
-        if len(runs):
-            chosen[name] = results.find(runs.iloc[0])
-        else:
-            absent.append(name)
-    if chosen:
-        clips = films.of_runs(chosen, duration_s)
-        play(films.grid(clips), f"{body}, first trials, in real time: {' | '.join(clips)}")
-    if absent:
-        note(f"No finished run on {body} yet: {'; '.join(absent)}.")
+        runs[name] = results.find(trials["run_id"].iloc[0]) if len(trials) else None
+    told = [name if run else f"{name}: no run yet" for name, run in runs.items()]
+    caption, made = f"{body}, first trials, in real time: {' | '.join(told)}", any(runs.values())
+    film(lambda: films.grid(films.of_runs(runs, duration_s)) if made else None, caption)
 
 
 def text(words: str) -> None:

@@ -1,23 +1,16 @@
-"""The whole book as one PDF: what `make pdf` calls, after `make book`.
+"""The whole book as one PDF: Chromium prints the single page that Sphinx makes of it.
 
-The staged sources are built as a single page, which Chromium prints; Debian's package ``chromium``
-and ``fonts-liberation`` are all that it needs beside the book's own environment.
+Debian's packages ``chromium`` and ``fonts-liberation`` are all that it needs beside the book's own
+environment.
 """
 
-from __future__ import annotations
-
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 from playwright.sync_api import Browser, sync_playwright
 
-from silem.report import build
 from silem.util import files
 from silem.util.errors import SilemError
-from silem.util.paths import REPO
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
 QUIET = ["--disable-background-networking", "--disable-component-update", "--disable-quic"]
@@ -42,24 +35,6 @@ def chromium() -> str:
     return found[0]
 
 
-def single_page(source: Path, output: Path) -> Path:
-    """Build staged sources as one page; return it.
-
-    Raises:
-        SilemError: If jupyter-book reports an error.
-    """
-    program = Path(sys.executable).with_name("jupyter-book")
-    command = [str(program), "build", str(source), "--path-output", str(output)]
-    done = subprocess.run([*command, "--builder", "singlehtml", "-q"], check=False)
-    folder = output / "_build" / "singlehtml"
-    made = folder / "book" / "intro.html"
-    if done.returncode or not made.exists():
-        raise SilemError("the single page did not build; its errors are listed above")
-    # Sphinx links from the root, wherever the first page lies
-    files.write_text(folder / "book.html", made.read_text().replace('"../_static/', '"_static/'))
-    return folder / "book.html"
-
-
 def print_page(browser: Browser, page: Path, target: Path) -> None:
     """Print a page from the disk to a PDF of A4 sheets, with an outline."""
     opened = browser.new_context(offline=True, color_scheme="light").new_page()
@@ -75,21 +50,13 @@ def print_page(browser: Browser, page: Path, target: Path) -> None:
     files.write_bytes(target, data)
 
 
-def main() -> None:
-    """Write ``_build/silem.pdf`` from the sources that the book was built from."""
-    started, target = time.perf_counter(), REPO / "_build" / "silem.pdf"
-    try:
-        if build.current() is None:
-            build.build()
-        page = single_page(REPO / "_build" / "source", REPO / "_build" / "pdf")
-        with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium(), args=QUIET)
-            print_page(browser, page, target)
-            browser.close()
-    except SilemError as error:
-        sys.exit(f"error: {error}")
-    print(f"{target}: {target.stat().st_size / 1e6:.1f} MB, {time.perf_counter() - started:.0f} s")
-
-
-if __name__ == "__main__":
-    main()
+def write(pages: Path, target: Path) -> None:
+    """Print the book's single page, as Sphinx built it into a folder, to a file."""
+    page = pages / "book.html"
+    # Sphinx links from the root, wherever the first page lies
+    made = (pages / "book" / "intro.html").read_text()
+    files.write_text(page, made.replace('"../_static/', '"_static/'))
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=QUIET)
+        print_page(browser, page, target)
+        browser.close()

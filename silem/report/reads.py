@@ -5,8 +5,6 @@ the pinned environment, and one of every file of this project that its processes
 folder that they listed. ``watch/sitecustomize.py`` notes them while the notebook runs.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -8,8 +8,6 @@ float32 values, little-endian: the observation's mean and scale, then weights (o
 of each layer of the policy, then its log standard deviations.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import gzip
@@ -20,7 +18,6 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -33,12 +30,9 @@ from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
-from silem.report.film import LEARNING
+from silem.report.pages import slider
 from silem.report.transforms import feature_names
 from silem.study.evaluate import load_policy
-from silem.study.runs import CURVE, TRANSFORM, RunRecord, recorded
-from silem.study.settings import METHODS
-from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
@@ -121,66 +115,6 @@ def physics(cache: Path) -> dict[str, bytes] | None:
 _MEMBERS = ("mujoco.js", "mujoco.wasm")
 
 
-def records() -> list[RunRecord]:
-    """Return every published record, in the order of the studies, bodies and methods."""
-    found = [RunRecord.load(folder) for folder in recorded()]
-    order = list(STUDIES), bodies.names(), list(METHODS)
-
-    def rank(record: RunRecord) -> tuple[Any, ...]:
-        keys = [record.config[name] for name in ("study", "body", "method")]
-        ranks = [o.index(k) if k in o else len(o) for o, k in zip(order, keys, strict=True)]
-        return *ranks, -record.training["n_steps"], record.config["seed"]
-
-    return sorted(found, key=rank)
-
-
-def learning_pack() -> bytes:
-    """Return the curves of all published runs that learned, and the T that each ended with.
-
-    Of those that were filmed while they learned also the iterations of the films, and each T.
-    """
-    runs = []
-    for record in records():
-        config = record.config
-        if CURVE not in record.files or config["study"] not in STUDIES:  # a search has too many
-            continue
-        curve = files.read_csv(record.file(CURVE))
-        run = {name: config[name] for name in ("study", "body", "method", "seed")}
-        run |= {
-            "id": record.run_id,
-            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
-            f" {config['budget']['n_iterations']:,} iterations",
-            "colour": style.method(config["method"]).color,
-            "curve": {name: _plain(column) for name, column in curve.items()},
-        }
-        if TRANSFORM in record.files:
-            arrays = files.read_npz(record.file(TRANSFORM))
-            if arrays.keys() == {"A", "b"}:
-                run |= {name: _plain(array) for name, array in arrays.items()}
-        if films := sorted(int(film.stem) for film in (LEARNING / record.run_id).glob("*.mp4")):
-            run["films"] = films
-        if (learned := LEARNING / record.run_id / "transforms.npz").exists():
-            arrays = files.read_npz(learned)
-            run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
-            run["learned"]["iteration"] = arrays["iteration"].tolist()
-        runs.append(run)
-    labels = Counter((run["study"], run["body"], run["label"]) for run in runs)
-    for run in runs:  # those of a search differ in settings alone
-        if labels[run["study"], run["body"], run["label"]] > 1:
-            run["label"] += f", {run['id'].rpartition('_')[2]}"
-    used = dict.fromkeys(run["body"] for run in runs if "A" in run)
-    data = {
-        "runs": runs,
-        "features": {body: feature_names(body) for body in used},
-        "studies": {name: STUDIES[name].about for name in STUDIES},
-    }
-    return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
-
-
-def _plain(values: np.ndarray) -> list[float | None]:
-    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
-
-
 # ---------------------------------------------------------------- under a figure
 
 
@@ -191,17 +125,24 @@ def links(frame: pd.DataFrame) -> str:
     """
     name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
     data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
-    counted = frame["processor_time_s"].dropna()
-    hours = f"{frame['wall_time_s'].sum() / 3600:.1f} hours by the clock"
-    if len(counted):
-        of = f" in the {len(counted)} runs that counted them" if len(counted) < len(frame) else ""
-        hours += f", {counted.sum() / 3600:.1f} processor hours{of}"
     return (
         f'<p class="silem-links" data-name="{name}">'
         f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
         ' <button type="button" class="silem-copy">copy the commands</button>'
-        f" <span>{hours}</span></p>"
+        f" <span>{hours(frame)}</span></p>"
     )
+
+
+def hours(runs: pd.DataFrame) -> str:
+    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
+    without = runs[runs["processor_time_s"].isna()]
+    wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
+    if len(without) == len(runs) > 0:
+        return wall
+    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
+    if len(without):
+        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
+    return words
 
 
 def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
@@ -228,21 +169,22 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
 
     The first picture of each film becomes its poster, beside it in the folder above.
     """
-    about: dict[str, Any] = {"version": NPM_PACKAGE[1], "mujoco_python": _version(), "sizes": {}}
+    mujoco, sizes = distribution("mujoco"), {}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
-    packs |= {"learning": learning_pack()} | (physics(cache) or {})
+    packs |= {"learning": slider.learning_pack()} | (physics(cache) or {})
     for name, data in packs.items():
         text = pack(name, data)
-        about["sizes"][name] = len(text)
+        sizes[name] = len(text)
         files.write_text(folder / f"{name}.js", text)
     if "mujoco.wasm" in packs:
         licence = "mujoco-3*.dist-info/licenses/LICENSE"
-        (found,) = [p for p in distribution("mujoco").files or () if p.match(licence)]
+        (found,) = [p for p in mujoco.files or () if p.match(licence)]
         files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
     films = REPO / "book" / "_static"
     for path in films.rglob("*.mp4"):
         poster = imageio.imwrite("<bytes>", imageio.imread(path, index=0), extension=".jpg")
         files.write_bytes((folder.parent / path.relative_to(films)).with_suffix(".jpg"), poster)
+    about = {"version": NPM_PACKAGE[1], "mujoco_python": mujoco.version, "sizes": sizes}
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")
 
 
@@ -253,7 +195,3 @@ def finish(html: Path) -> None:
     names = [path.name for path in pictures if mark in path.read_text()[:400]]
     text = f"silem.withPaper = {json.dumps(names)};\n"
     files.write_text(html / "_static" / "web" / "figures.js", text)
-
-
-def _version() -> str:
-    return distribution("mujoco").version

@@ -17,10 +17,9 @@ from silem.util.paths import REPO
 
 @pytest.fixture(scope="session")
 def html(testrun_uid: str) -> Path:
-    """The pages of the book: those of `make book` if they are up to date, else built here.
+    """The pages of the book, built once for all workers: those that share what another one builds.
 
-    Here the notebooks run with their own defaults, once for all workers: a record that a campaign
-    publishes meanwhile must not have one worker rebuild what another one reads.
+    Here the notebooks run with their own defaults, if they or what they read have changed.
     """
     root = REPO / "_build" / "tests"
     root.mkdir(parents=True, exist_ok=True)
@@ -30,8 +29,7 @@ def html(testrun_uid: str) -> Path:
         if known.get("run") == testrun_uid:
             return Path(known["pages"])
         try:
-            pages = build.current() or build.current(root)
-            pages = pages or build.build(n_workers=2, root=root, parameters={})
+            pages = build.build(n_workers=2, root=root, parameters={})
         except SilemError as error:
             pytest.fail(f"the book cannot be built: {error}", pytrace=False)
         files.write_json(chosen, {"run": testrun_uid, "pages": str(pages)})

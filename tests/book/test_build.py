@@ -63,22 +63,12 @@ def test_a_reference_that_leads_nowhere_fails_the_build(
     (source / "_toc.yml").write_text("format: jb-book\nroot: page\n")
     (source / "page.md").write_text(text)
     if builds:
-        build.build_html(source, tmp_path)
-        assert (tmp_path / "_build" / "html" / "page.html").exists()
+        for builder in ("html", "singlehtml"):
+            pages = build.sphinx(source, tmp_path, builder)
+            assert pages.name == builder and (pages / "page.html").exists()
     else:
         with pytest.raises(SilemError, match="did not build"):
-            build.build_html(source, tmp_path)
-
-
-def test_the_digest_follows_the_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    record = tmp_path / "results" / "halfcheetah" / "run" / "record.json"
-    record.parent.mkdir(parents=True)
-    record.write_text("1")
-    before = build.source_digest()
-    assert build.source_digest() == before
-    record.write_text("2")
-    assert build.source_digest() != before
+            build.sphinx(source, tmp_path)
 
 
 def test_the_table_of_contents_lists_every_notebook() -> None:

@@ -92,5 +92,5 @@ def test_without_any_run_the_page_says_so(execute: Execute) -> None:
         assert output(page, cell_id).startswith("<svg"), cell_id
     assert words(output(page, "absorbing")).count("not run yet") == 8
     assert "not run yet" in str(page.cells)
-    assert "No finished run on Ant6 yet: SILEM" in words(output(page, "film-Ant6"))
+    assert "Ant6, first trials, in real time: SILEM: no run yet" in words(output(page, "film-Ant6"))
     assert ants.correlations(results.load_records("ant", "tiny")).empty

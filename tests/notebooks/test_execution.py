@@ -288,6 +288,6 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
     assert "0 runs" in text
     if name == "05_halfcheetah":
         assert set(said(page).values()) == {"–"}
-        assert "No finished run on HC2 yet: SILEM" in text
+        assert "HC2, first trials, in real time: SILEM: no run yet" in text
     if name == "07_scorecard":
         assert said(page)["n_undecided"] == str(len(claims.of("halfcheetah")))

@@ -127,9 +127,10 @@ def test_result_pages_type_no_results(name: str) -> None:
 
 
 def door(path: Path, **given: Any) -> dict[str, Any]:
-    """Run a notebook's second and third cell outside Jupyter, with parameters in between."""
+    """Run a notebook's second and third cell as in Jupyter, with parameters in between."""
     _, parameters, third = [cell.source for cell in read(path).cells[:3]]
-    namespace: dict[str, Any] = {}
+    injected = "\n".join(f"{name} = {value!r}" for name, value in given.items())
+    namespace: dict[str, Any] = {"In": ["", parameters, injected]}
     exec(parameters, namespace)
     exec(third.partition("records =")[0], namespace | given, namespace)
     return vars(namespace["p"])

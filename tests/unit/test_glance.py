@@ -10,6 +10,7 @@ import synthetic_records as synthetic
 import yaml
 
 from silem.report import claims, glance
+from silem.report.web import BODIES
 from silem.study.config import RunConfig
 from silem.study.studies import cells
 from silem.util.errors import SilemError
@@ -42,6 +43,7 @@ def test_the_pages_say_what_the_committed_records_say(
 ) -> None:
     monkeypatch.delenv("SILEM_DATA_DIR", raising=False)
     assert page.read_text() == glance.filled(page), "run `make figures` and commit what it writes"
+    assert glance.FIGURE.read_text() == glance.figure(), "run `make figures`"
 
 
 def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
@@ -52,11 +54,11 @@ def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
     assert row(box, "SILEM far outperforms TPIL")[3] == (
         "Atlas, Humanoid, HumanoidR (too few trials)"
     )
-    titles = {claim.title for study in glance.STUDIES for claim in claims.of(study)}
+    titles = {claim.title for study in glance.FAMILIES for claim in claims.of(study)}
     assert all(f"| {title} |" in box for title in titles)
     heads = [line for line in box.splitlines() if line.startswith("| claim |")]
     counts = [[int(n) for n in re.findall(r"\((\d+)\)", head)] for head in heads]
-    assert [sum(found) for found in counts] == [len(claims.of(s)) for s in glance.STUDIES]
+    assert [sum(found) for found in counts] == [len(claims.of(s)) for s in glance.FAMILIES]
     assert counts[0][1] >= 1 and counts[1:] == [[0, 0, 34], [0, 0, 27]]
 
 
@@ -85,7 +87,7 @@ def test_hours_are_processor_time_where_it_was_counted(
 def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
     caption = glance.film()
     assert "SILEM has one trial on 1 of 3 bodies (Humanoid 1), of which 1 walks" in caption
-    assert "SILEM⁻ has no run" in caption and glance.FILM in caption
+    assert "SILEM⁻ has no run" in caption and BODIES["Humanoid"] in caption
 
 
 def test_without_any_run_the_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +108,7 @@ def test_a_block_without_its_end_is_refused(made_up: Path, tmp_path: Path) -> No
 
 
 def test_the_film_is_of_a_run_that_is_committed() -> None:
-    assert (REPO / "data" / "results" / "humanoids" / glance.FILM).is_dir()
+    assert (REPO / "data" / "results" / "humanoids" / BODIES["Humanoid"]).is_dir()
 
 
 def test_the_introduction_lists_every_page() -> None:

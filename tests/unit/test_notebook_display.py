@@ -73,20 +73,16 @@ def test_the_first_trial_of_each_method_is_filmed(
     synthetic.write_record(ppo, 300.0)
     frame = results.load_records("humanoids", "book")
     methods = ("silem", "silem-minus", "ppo")
-    filmed: dict[str, RunRecord] = {}
-    notes: list[str] = []
+    filmed: dict[str, RunRecord | None] = {}
+    shown: list[tuple[film.Clip | None, str]] = []
     clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
     monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
-    monkeypatch.setattr(notebook, "play", lambda clip, text: notes.append(text))
-    monkeypatch.setattr(notebook, "note", notes.append)
+    monkeypatch.setattr(notebook, "play", lambda *call: shown.append(call))
     monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
     notebook.play_trials(frame, methods, "Humanoid", 0.1)
-    assert list(filmed) == ["SILEM", "PPO"]
+    assert list(filmed) == ["SILEM", "SILEM⁻", "PPO"] and filmed["SILEM⁻"] is None
     assert filmed["SILEM"].run_id == plan.run_id != first.run_id  # not the best
-    assert notes == [
-        "Humanoid, first trials, in real time: a clip",
-        "No finished run on Humanoid yet: SILEM⁻.",
-    ]
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "no OpenGL")
-    notebook.play_trials(frame, methods, "Humanoid", 0.1)
-    assert notes[-1] == "No videos of Humanoid: no OpenGL"
+    ((clip, caption),) = shown
+    assert clip is not None and caption.endswith("time: SILEM | SILEM⁻: no run yet | PPO")
+    notebook.play_trials(frame, methods, "Atlas", 0.1)
+    assert shown[-1][0] is None  # there is no run

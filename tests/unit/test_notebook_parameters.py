@@ -21,13 +21,24 @@ p = parameters(globals(), body=["HC0", "HC1"], seed=int, video_s=float)
 print(vars(p))"""
 
 
+def in_notebook(*cells: str, **namespace: object) -> dict[str, object]:
+    """What ``globals()`` holds once the cells have run in Jupyter."""
+    return {"get_ipython": object(), "In": ["", *cells], "Out": {}} | namespace
+
+
+def given(values: dict[str, object]) -> dict[str, object]:
+    """What ``globals()`` holds after a cell that assigns the values."""
+    cell = "\n".join(f"{name} = {value!r}" for name, value in values.items())
+    return in_notebook(cell.replace("= nan", "= float('nan')"), **values)
+
+
 def test_returns_the_values_as_attributes() -> None:
-    p = parameters(GOOD, **SCHEMA)
+    p = parameters(given(GOOD), **SCHEMA)
     assert vars(p) == GOOD
 
 
 def test_int_is_taken_for_a_float() -> None:
-    p = parameters(GOOD | {"video_s": 2}, **SCHEMA)
+    p = parameters(given(GOOD | {"video_s": 2}), **SCHEMA)
     assert p.video_s == 2.0
     assert isinstance(p.video_s, float)
 
@@ -48,7 +59,7 @@ def test_int_is_taken_for_a_float() -> None:
 )
 def test_refuses_and_lists_what_is_allowed(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(SilemError) as caught:
-        parameters(GOOD | wrong, **SCHEMA)
+        parameters(given(GOOD | wrong), **SCHEMA)
     assert message in str(caught.value)
     allowed = (
         "Allowed: body: one of HC0, HC1; seed: of type int; "
@@ -58,29 +69,24 @@ def test_refuses_and_lists_what_is_allowed(wrong: dict[str, object], message: st
 
 
 def test_reports_every_problem_in_one_error() -> None:
-    given = {"body": "HC9", "seed": "7", "sede": 1, "fast": True}
+    wrong = {"body": "HC9", "seed": "7", "sede": 1, "fast": True}
     with pytest.raises(SilemError) as caught:
-        parameters(given, **SCHEMA)
+        parameters(given(wrong), **SCHEMA)
     for part in ("'sede'", "'HC9'", "'7'", "'video_s' is missing"):
         assert part in str(caught.value)
 
 
-def in_notebook(*cells: str, **namespace: object) -> dict[str, object]:
-    """What ``globals()`` holds once the cells have run in Jupyter."""
-    return {"get_ipython": object(), "In": ["", *cells], "Out": {}} | namespace
-
-
 def test_in_a_notebook_variables_of_other_cells_are_no_parameters() -> None:
     cells = ['body = "HC0"', "import os\nn = 3", "m = len('abc')", "broken ="]
-    given = in_notebook(*cells, body="HC0", n=3, m=3)
-    assert vars(parameters(given, body=str)) == {"body": "HC0"}
+    found = in_notebook(*cells, body="HC0", n=3, m=3)
+    assert vars(parameters(found, body=str)) == {"body": "HC0"}
 
 
 def test_in_a_notebook_the_injected_cell_sets_parameters_too() -> None:
     cells = ['body: str = "HC0"  # the body', "# Parameters\nrate = float('nan')\nlist_ = [-1]"]
-    given = in_notebook(*cells, body="HC0", rate=float("nan"), list_=[-1])
+    found = in_notebook(*cells, body="HC0", rate=float("nan"), list_=[-1])
     with pytest.raises(SilemError, match=r"'rate'; unknown parameter 'list_'"):
-        parameters(given, body=str)
+        parameters(found, body=str)
 
 
 def test_in_a_notebook_the_door_can_be_run_again() -> None:

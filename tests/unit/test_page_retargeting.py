@@ -308,5 +308,5 @@ def test_film_shows_the_bodies_beside_the_man_in_real_time(
 def test_film_refuses_a_duration_that_is_not_positive(
     duration_s: float, human: Motion, results: list[IKResult]
 ) -> None:
-    with pytest.raises(SilemError, match="not a positive number of seconds"):
+    with pytest.raises(SilemError, match="duration_s must be a number above 0"):
         page.beside(human, results, duration_s)
