@@ -76,17 +76,9 @@ def test_one_policy_of_each_study_does_what_its_record_says(study: str) -> None:
 @needs_records
 @pytest.mark.parametrize("study", STUDIES)
 def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
-    """A run of other settings or seeds in a study's folder would be evidence that nobody sees.
-
-    A shorter run gives way to a longer one of its cell and seed.
-    """
+    """A run of other settings or seeds in a study's folder would be evidence that nobody sees."""
     for budget in {RunRecord.load(path).run_config.budget.base_name for path in RECORDS}:
-        frame = results.load_records(planned_as(study), budget)
-        for run_id in frame.attrs["set_aside"]:
-            config = results.find(run_id).run_config
-            same = [frame[name] == getattr(config, name) for name in ("method", "body", "seed")]
-            longest = frame.loc[same[0] & same[1] & same[2], "n_iterations"].max()
-            assert config.budget.n_iterations < longest, run_id
+        assert not results.load_records(planned_as(study), budget).attrs["set_aside"]
 
 
 @needs_demonstrations
