@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import signal
@@ -232,6 +233,7 @@ def test_the_command_runs_the_winner_and_says_what_it_is_worth(
 def test_a_searchs_run_is_published_with_the_length_of_its_episodes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setitem(BUDGETS, "quick", dataclasses.replace(BUDGETS["quick"], n_eval_episodes=1))
     budget = BUDGETS["quick"].with_iterations(1)
     for study, n in (("search-x", 1), ("x", 0)):
         record = runs.run(RunConfig.create("Ant0", "random", None, budget, study=study), False)
