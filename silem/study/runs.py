@@ -1,6 +1,7 @@
 """Runs: started, resumed or looked up by their configuration, and what is recorded of them."""
 
 import dataclasses
+import gc
 import importlib.metadata
 import math
 import os
@@ -392,6 +393,10 @@ def run(
             why = f"{interrupt}: " if str(interrupt) else ""
             message = f"{why}stopped {config.run_id} ({kept}); to go on: {config.command}"
             raise KeyboardInterrupt(message) from None
+        finally:
+            # A model holds itself in circles, which Python breaks when objects are many, not large:
+            # loops would keep several runs' simulators.
+            gc.collect()
 
 
 def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: float) -> RunRecord:

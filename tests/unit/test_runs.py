@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -436,3 +438,22 @@ def test_unclipped_actions_reach_the_environment_as_they_are() -> None:
         np.testing.assert_array_equal(model._env_actions(actions), actions)
     finally:
         env.close()
+
+
+def test_a_run_leaves_no_simulator_behind(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python counts objects, not what they hold: a loop of runs would keep their simulators."""
+    made = []
+    make_model = training.make_model
+
+    def watched(*given: Any) -> Any:
+        made.append(weakref.ref(model := make_model(*given)))
+        return model
+
+    monkeypatch.setattr(training, "make_model", watched)
+    gc.disable()
+    try:
+        budget = Budget("small", 2, 128, 1, 1, 1, 2)
+        runs.run(RunConfig.create("Humanoid", "ppo", budget=budget, **SMALL), progress=False)
+        assert [model() for model in made] == [None]
+    finally:
+        gc.enable()
