@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from silem.report import claims, results, style
+from silem.report import claims, results, scores, style
 from silem.report.pages import walking
 from silem.util import files
 from silem.util.errors import SilemError
@@ -100,7 +100,7 @@ def _hours(runs: pd.DataFrame) -> str:
 def film(_: str = "") -> str:
     """Return the caption of README's film as Markdown."""
     frame = results.load_records("humanoids", "book")
-    parts = [_trials(frame, method) for method in walking.COMPARED]
+    parts = [_trials(frame, method) for method in scores.COMPARED]
     return (
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"

@@ -179,12 +179,9 @@ def _sorted(names: set[str]) -> list[str]:
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
-    """Return a table's study and budget; SilemError if it mixes budgets or is no such table."""
+    """Return a table's study and budget; SilemError if it is no such table."""
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
-    for body, counts in trained(frame).groupby("body")["n_iterations"].unique().items():
-        if len(counts) > 1:
-            raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
     return frame.attrs["study"], frame.attrs["budget"]
 
 

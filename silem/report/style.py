@@ -154,9 +154,9 @@ def handle(color: str, label: str, **look: Any) -> Line2D:
     return Line2D([], [], color=color, label=label, **look)
 
 
-def marks(looks: Iterable[MethodStyle], ms: float = 8) -> list[Line2D]:
+def marks(looks: Iterable[MethodStyle]) -> list[Line2D]:
     """Return a legend's entries for methods, each with its marker."""
-    look: dict[str, Any] = {"ls": "none", "mec": "white", "ms": ms}
+    look: dict[str, Any] = {"ls": "none", "mec": "white", "ms": 8}
     return [handle(m.color, m.label, marker=m.marker, **look) for m in looks]
 
 

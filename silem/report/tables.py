@@ -4,7 +4,6 @@ import hashlib
 import html
 import itertools
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -95,10 +94,10 @@ def random_policies() -> Styler:
     return styled(pd.DataFrame(rows.items(), columns=["a random policy", "return"]))
 
 
-def coverages(counts: Sequence[int] = (2, 3, 5)) -> Styler:
-    """Return how often a 95 % interval of that many trials holds the true mean, by simulation."""
+def coverages() -> Styler:
+    """Return how often a 95 % interval of a few trials holds the true mean, by simulation."""
     rows = []
-    for count in counts:
+    for count in (2, 3, 5):
         row = {"trials": str(count)}
         for name, kind in (("Student's", "student"), ("bootstrap", "bootstrap")):
             for failures, scores in ((False, "normal scores"), (True, "one in five fails")):

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from silem.report import results, scores, style
 from silem.study.evaluate import evaluate, load_policy
+from silem.study.studies import BOTH
 from silem.study.training import task_options
 from silem.util import seeding
 
-BOTH = ("silem", "silem-minus")
 LOSING, OWN = (*BOTH, "tpil"), "silem-minus-own"
 LADDER = (*LOSING, OWN)
 ARMS = (0.5, 0.75, 1.0, 1.25, 1.5)

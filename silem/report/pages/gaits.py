@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -25,10 +26,9 @@ from silem.study.demonstrate import experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.study.settings import expert_of
-from silem.study.studies import cells
+from silem.study.studies import BOTH, cells
 from silem.util.errors import SilemError, choose
 
-_METHODS = ("silem", "silem-minus")
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
@@ -216,8 +216,10 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     """
     names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
     found = {x: e.gait for x, name in enumerate(names) if (e := shown[name])}
-    score, learners = _score_column(frame), results.body_names(frame)
-    titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
+    learners, titles = (
+        results.body_names(frame),
+        {"normalised": "score", "speed_m_s": "speed (m/s)"},
+    )
     size = {"nrows": 2, "ncols": len(learners), "squeeze": False}
     figure, grid = style.new_figure(4.6, sharex=True, sharey="row", **size)
     for row, column in itertools.product(range(2), range(len(learners))):
@@ -240,7 +242,7 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
             here = frame[(frame["body"] == body) & (frame["demonstrations"] == name)]
             if row == 0 and here[quantity].isna().all():  # said once
                 style.empty_slot(axes, x, "no run" if here.empty else "no expert")
-            for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
+            for method, offset in zip(BOTH, (-0.14, 0.14), strict=True):
                 values = here[here["method"] == method][quantity].dropna().to_numpy()
                 if len(values):
                     scores.draw_trials(axes, x + offset, values, method)
@@ -252,7 +254,7 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
         labels = [label + about.get(x, "no run") for x, label in enumerate(labels)]
         axes.set_xticks(range(len(names)), labels)
         axes.tick_params(axis="x", labelsize=7.5, length=0)
-    handles = style.marks((style.method(method, short=True) for method in _METHODS), ms=7)
+    handles = scores.methods_of(frame, BOTH)
     handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
     label = "its nose touches the floor"
     handles.append(style.handle(style.WARNING, label, lw=1.2, ls=style.DASHED))
@@ -287,11 +289,11 @@ def decided(frame: pd.DataFrame, shown: Shown) -> str:
     An analysis of variance without replication: demonstrators are rows, methods columns, and what
     neither explains is the error that both are tested against (F tests at 5 %).
     """
-    score, lines = _score_column(frame), []
-    write = {"digits": 2 if score == "normalised" else 0}
+    lines, write = [], partial(number, digits=2)
     for body in results.body_names(frame):
-        by_method = frame[frame["body"] == body].pivot_table(score, "demonstrations", "method")
-        both = by_method.reindex(columns=list(_METHODS)).dropna()
+        of_body = frame[frame["body"] == body]
+        both = of_body.pivot_table("normalised", "demonstrations", "method")
+        both = both.reindex(columns=list(BOTH)).dropna()
         known = f"{len(both)} of {len(shown)} demonstrators have both scores."
         if len(both) < 2:
             lines.append(f"- **{body}**: not to be told yet; {known}")
@@ -304,11 +306,11 @@ def decided(frame: pd.DataFrame, shown: Shown) -> str:
             (False, True): "The transform decided, not the teacher.",
             (False, False): "Neither can be told from chance with these runs.",
         }[rows_p < _CHANCE, columns_p < _CHANCE]
-        gain = number(float((both["silem"] - both["silem-minus"]).mean()), **write)
+        gain = write(float((both["silem"] - both["silem-minus"]).mean()))
         lines.append(
             f"- **{body}**: {known} Between them the score goes from"
-            f" {number(means.min(), **write)} (trial {means.idxmin()}) to"
-            f" {number(means.max(), **write)} (trial {means.idxmax()}); the transform"
+            f" {write(means.min())} (trial {means.idxmin()}) to"
+            f" {write(means.max())} (trial {means.idxmax()}); the transform"
             f" changes it by {gain} on average. {number(100 * rows)} % of the variance"
             f" goes with the demonstrator (p = {rows_p:.2g}),"
             f" {number(100 * columns)} % with the transform (p = {columns_p:.2g}),"
@@ -319,19 +321,13 @@ def decided(frame: pd.DataFrame, shown: Shown) -> str:
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     """Return the study's best and worst run, by what to call them; nothing without any score."""
-    ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
+    ordered = frame.dropna(subset="normalised").sort_values("normalised")
     ends = ordered.iloc[[-1, 0][: len(ordered)]]
     return {
         f"{word}: {run.body}, {style.method(run.method, short=True).label},"
         f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
         for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
     }
-
-
-def _score_column(frame: pd.DataFrame) -> str:
-    """Return the column of scores, or of returns where no expert gives a scale."""
-    known = frame.empty or frame["normalised"].notna().any()
-    return "normalised" if known else "return_mean"
 
 
 def _trial(name: str) -> int | None:

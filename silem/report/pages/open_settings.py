@@ -21,7 +21,7 @@ from silem.report.style import number
 from silem.study.config import RunConfig
 from silem.study.record import TRANSFORM
 from silem.study.settings import BUDGETS, HyperParameters
-from silem.study.studies import SEARCHED_FROM, cells, seeds_of
+from silem.study.studies import BOTH, SEARCHED_FROM, cells, seeds_of
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -39,7 +39,8 @@ _NAMES = {
     "disc_entropy_coef": "entropy bonus",
     "learning_rate": "rate of PPO",
     "clip_range": "clip range",
-    "passes": "epochs × minibatch",
+    "n_epochs": "epochs",
+    "minibatch_size": "minibatch",
     "log_std_init": "first std",
     "starts": "starts",
 }
@@ -157,7 +158,7 @@ def travel_table(table: pd.DataFrame) -> pd.DataFrame:
 def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
     """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
     rows, frames = [], {"yes": penalised, "no": unpenalised}
-    bodies_and_methods = product(results.body_names(unpenalised), ("silem", "silem-minus"))
+    bodies_and_methods = product(results.body_names(unpenalised), BOTH)
     for (body, method), penalty in product(bodies_and_methods, frames):
         runs = results.cell(frames[penalty], method, body)
         row = {"body": body, "method": _label(body, method), "penalty": penalty}
@@ -177,8 +178,6 @@ def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame
     for entry in files.read_json(path):
         if missing := {"name", "body", "method", "schedule", "columns", "rows"} - entry.keys():
             raise SilemError(f"{path.name}: an entry lacks {', '.join(sorted(missing))}")
-        if "n_epochs" in entry:
-            entry["passes"] = f"{entry.pop('n_epochs')} × {entry.pop('minibatch_size')}"
         curve = pd.DataFrame(entry.pop("rows"), columns=entry.pop("columns")).astype(float)
         rows.append(entry | {"curve": curve})
     return pd.DataFrame([row for row in rows if method in (None, row["method"])])

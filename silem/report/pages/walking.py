@@ -22,15 +22,13 @@ from silem.motion.gait import distance, walk
 from silem.report import film, notebook, results, style
 from silem.report.claims import MARGIN
 from silem.report.curves import QUANTITIES, rises
+from silem.report.scores import COMPARED
 from silem.report.style import number
 from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
 from silem.study.settings import BUDGETS
-from silem.study.studies import cells, seeds_of
+from silem.study.studies import BOTH, cells, seeds_of
 from silem.study.training import task_options
 from silem.util import files, paths
-
-COMPARED = ("silem", "silem-minus", "tpil", "peng20")
-"""The methods of the paper's twelve cells, in their order on the page."""
 
 RIVALS = COMPARED[1:]
 
@@ -233,7 +231,7 @@ def show_strip(run_id: str, duration_s: float) -> None:
         notebook.note(f"No pictures: {why}")
     else:
         (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
-        notebook.show_picture(film.strip(clip, n_frames=6))
+        notebook.show_picture(film.strip(clip))
 
 
 def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
@@ -255,7 +253,7 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
         else:
             blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
             clips[f"{label}: no run yet"] = film.Clip(blank, shown.frames_per_s)
-    return film.grid(clips, n_columns=4, label_size=0.05)
+    return film.grid(clips, n_columns=4)
 
 
 def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
@@ -353,7 +351,7 @@ def reversal_figure() -> Figure:
                 (ranked, "ranking", "-"),
             ):  # fmt: skip
                 axes.plot(of_depth["coef"], of_depth[column], ls=line, ms=4, **look)
-        for method in COMPARED[:2]:
+        for method in BOTH:
             known, level = style.method(method, ""), rows.loc[rows["method"] == method, "ranking"]
             look = {"color": known.color, "ls": ":", "lw": 2}
             handles[known.label] = style.handle(label=known.label, **look)
