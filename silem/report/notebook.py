@@ -180,7 +180,7 @@ def play_trials(
     chosen, absent = {}, []
     first = records[records["seed"].eq(TRIAL_SEEDS[0])]
     for method in methods:
-        name = style.method(method, results.original_body(records)).name
+        name = style.METHODS[method].short
         runs = results.cell(first, method, body)["run_id"]
         if len(runs):
             chosen[name] = results.find(runs.iloc[0])

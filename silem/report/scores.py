@@ -19,6 +19,7 @@ from silem import bodies, paper
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics, style
+from silem.report.style import QUANTITIES
 from silem.study.settings import BUDGETS, METHODS
 from silem.util.errors import SilemError, choose
 
@@ -164,7 +165,7 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
     note = interval_note(frame, everyone, "speed_m_s")
     if falls:
         counts = [len(results.cell(frame, m, b)) for _, m, b in _places(frame, everyone[:-1])]
-        note = f"trials of a cell: {min(counts)} to {max(counts)}; {note}"
+        note = f"trials of a cell: {style.span(counts)}; {note}"
     return finish(figure, frame, [*methods_of(frame, everyone), mean, *levels], note)
 
 
@@ -179,7 +180,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     title = "True return of an episode: minimum, mean, maximum over trials"
     shown = [
         Panel("return_mean", title, COMPARED, _MAX_RETURN, "mean", scale="PPO", means=True),
-        Panel("upright", "Share of steps survived", COMPARED, level="mean", counts=False),
+        Panel("upright", "Share of steps upright", COMPARED, level="mean", counts=False),
         Panel("speed_m_s", "Speed (m/s)", COMPARED, speed, "mean", counts=False),
     ]
     mosaic = [["return_mean"] * 2, ["upright", "speed_m_s"]]
@@ -194,12 +195,10 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
 def experts(frame: pd.DataFrame) -> Figure:
     """Draw the experts beside the random policy, and in amber the paper's own numbers."""
     frame, methods = runs_of("experts", frame), ("ppo", "random")
-    titles = {
-        "return_mean": "Return of an episode",
-        "speed_m_s": "Forward speed (m/s)",
-        "upright": results.upright_label(frame).capitalize(),
-    }
-    shown = [Panel(name, title, methods, counts=False) for name, title in titles.items()]
+    shown = [
+        Panel(name, QUANTITIES[name].heading.capitalize(), methods, counts=False)
+        for name in ("return_mean", "speed_m_s", "upright")
+    ]
     figure, _, levels = by_body(frame, shown, 3.1)
     note = interval_note(frame, methods[:1], "return_mean")
     return finish(figure, frame, methods_of(frame, methods) + levels, note)

@@ -50,28 +50,49 @@ _SHEET = mpl.rc_params_from_file(
 
 
 class MethodStyle(NamedTuple):
-    """How a method is drawn, the same in every figure."""
+    """How a method is called and drawn, the same everywhere."""
 
+    short: str
     label: str
     color: str
     marker: str
 
-    @property
-    def name(self) -> str:
-        """The label without what it says of the method after a comma."""
-        return self.label.partition(",")[0]
-
 
 METHODS = {
-    "silem": MethodStyle("SILEM", "#0072B2", "o"),
-    "silem-minus": MethodStyle("SILEM⁻ ({original} expert)", "#D55E00", "s"),
-    "silem-minus-own": MethodStyle("SILEM⁻ (own expert)", "#009E73", "^"),
-    "silem-mlp": MethodStyle("SILEM with an MLP", "#CC79A7", "D"),
-    "tpil": MethodStyle("TPIL", "#56B4E9", "v"),
-    "peng20": MethodStyle("Peng20", "#882255", "d"),
-    "ppo": MethodStyle("PPO expert", "#444444", "P"),
-    "random": MethodStyle("random policy", "#999999", "X"),
+    "silem": MethodStyle("SILEM", "SILEM", "#0072B2", "o"),
+    "silem-minus": MethodStyle("SILEM⁻", "SILEM⁻ ({original} expert)", "#D55E00", "s"),
+    "silem-minus-own": MethodStyle("SILEM⁻ own", "SILEM⁻ (own expert)", "#009E73", "^"),
+    "silem-mlp": MethodStyle("MLP", "SILEM with an MLP", "#CC79A7", "D"),
+    "tpil": MethodStyle("TPIL", "TPIL", "#56B4E9", "v"),
+    "peng20": MethodStyle("Peng20", "Peng20", "#882255", "d"),
+    "ppo": MethodStyle("PPO", "PPO expert", "#444444", "P"),
+    "random": MethodStyle("random", "random policy", "#999999", "X"),
 }
+
+
+class Quantity(NamedTuple):
+    """How what is measured is called in tables, figures and claims, and with how many digits."""
+
+    heading: str
+    digits: int = 2
+
+
+QUANTITIES = {
+    "return_mean": Quantity("return", 0),
+    "returns": Quantity("return", 0),
+    "normalised": Quantity("score"),
+    "best": Quantity("score, best expert"),
+    "episode_length": Quantity("steps before a fall", 0),
+    "steps": Quantity("steps of an episode", 0),
+    "upright": Quantity("share of steps upright"),
+    "disc_reward": Quantity("discriminator reward", 0),
+    "speed_m_s": Quantity("speed (m/s)"),
+    "disc_acc_expert": Quantity("discriminator accuracy"),
+    "policy_std": Quantity("policy's standard deviation"),
+    "wall_time_min": Quantity("wall time (min)", 1),
+    "apart": Quantity("maps apart (%)", 0),
+}
+"""What is measured, by the columns of records, of their curves, and of what is made of them."""
 
 # Where a human demonstrates, no expert's body needs naming, and PPO on the true reward is no expert
 # that anybody imitates.
@@ -81,16 +102,14 @@ _WITHOUT_EXPERT = {"silem-minus": "SILEM⁻", "ppo": "PPO, true reward"}
 _LIGHT, _DARK = np.array([0.80, 0.74, 0.90]), np.array([0.25, 0.07, 0.42])
 
 
-def method(name: str, original: str = "HC0", *, short: bool = False) -> MethodStyle:
+def method(name: str, original: str = "HC0") -> MethodStyle:
     """Return a method's style; an unknown method is a SilemError.
 
-    Its label names the body whose expert demonstrates to the others, "" where a human does; a
-    short one does not.
+    Its label names the body whose expert demonstrates to the others, "" where a human does.
     """
     chosen = METHODS[choose("method", name, METHODS)]
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
-    label = label.format(original=original)
-    return chosen._replace(label=label.partition(" (")[0] if short else label)
+    return chosen._replace(label=label.format(original=original))
 
 
 def body_color(index: int, count: int) -> str:
@@ -184,11 +203,22 @@ def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
     axes.text(x, 0.56, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2}, **place)
 
 
-def number(value: float | None, digits: int = 0) -> str:
-    """Write a number with thousands separated and a true minus; a dash where there is none."""
+def number(value: float | None, digits: int | None = 0) -> str:
+    """Write a number with thousands separated and a true minus; a dash where there is none.
+
+    With None for the digits it is as short as it can be.
+    """
     if value is None or np.isnan(value):
         return DASH
-    return f"{value:,.{digits}f}".replace("-", "−")
+    text = f"{value:,g}".replace("e-0", "e-") if digits is None else f"{value:,.{digits}f}"
+    return text.replace("-", "−")
+
+
+def span(values: Iterable[float], digits: int = 0) -> str:
+    """Write the least and the greatest of numbers, "2 to 5"; "2" if equal, a dash for none."""
+    known = [value for value in values if not np.isnan(value)]
+    ends = [number(end, digits) for end in (min(known), max(known))] if known else [DASH]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def trials(count: int) -> str:

@@ -65,8 +65,8 @@ def test_ants(execute: Execute) -> None:
     (returned, steps), cells = [f"{values.mean():,.0f}" for values in low], output(page, "cells")
     assert re.search(rf"\(Ant0 expert\) 3 {returned} \S+ to \S+ {steps} ", words(cells))
     absorbing = words(output(page, "absorbing"))
-    assert re.search(r"Ant0 SILEM 3 2,\d{3} 1,000 \S+ 3 2,\d{3} 1,000 \S+ \S+ \[", absorbing)
-    assert absorbing.count("not run yet") == 2
+    assert re.search(r"Ant0 SILEM no 3 2,\d{3} 1,000", absorbing)
+    assert re.search(r"Ant0 SILEM yes 3 2,\d{3} 1,000 \S+ \S+ \S+ \[", absorbing)
     (cell,) = [cell for cell in page.cells if cell.id == "tracking-says"]
     assert "A of forward velocity" in str(cell.outputs)
     claimed = words(output(page, "claims"))
@@ -90,7 +90,7 @@ def test_without_any_run_the_page_says_so(execute: Execute) -> None:
     assert "0 runs" in words(output(page, "records"))
     for cell_id in FIGURES:
         assert output(page, cell_id).startswith("<svg"), cell_id
-    assert words(output(page, "absorbing")).count("not run yet") == 8
+    assert words(output(page, "absorbing")).count("Ant0 SILEM yes 0") == 1
     assert "not run yet" in str(page.cells)
     assert "No finished run on Ant6 yet: SILEM" in words(output(page, "film-Ant6"))
     assert ants.correlations(results.load_records("ant", "tiny")).empty

@@ -105,18 +105,6 @@ def test_published_episodes_of_another_run_are_not_taken_for_this_ones(data: Pat
     assert len(found.demonstrations.features[0]) == 1001  # recorded here
 
 
-def test_what_is_unlike_ppo1_is_told_from_its_runs_once_they_are_made(data: Path) -> None:
-    records = results.load_records("halfcheetah", "book")
-    clipped, constant = gaits.unlike_ppo1(records, "book").splitlines()
-    assert "not clipped**: not run yet; otherwise 2,0" in clipped and "(5 trials)" in clipped
-    assert "falls with the learning rate**: not run yet" in constant
-    (config,) = [c for c in study_configs("fidelity", "book") if c.hyper.anneal_clip]
-    made = synthetic.write_record(config, 2345.0)
-    clipped, constant = gaits.unlike_ppo1(records, "book").splitlines()
-    assert f"rate**: {made.evaluation['return_mean']:,.0f} at 2." in constant
-    assert "not run yet" in clipped
-
-
 def test_recording_writes_the_gait_into_the_manifest(data: Path) -> None:
     record = runs.find(experts("HC0", "book")[0].run_id)
     assert record is not None

@@ -13,7 +13,7 @@ import pytest
 import synthetic_records as synthetic
 from drawn import assert_readable, footer
 
-from silem.report import curves, results
+from silem.report import curves, results, tables
 from silem.report.pages import open_settings as search
 from silem.study import runs
 from silem.study.config import RunConfig
@@ -71,7 +71,7 @@ def test_a_table_shows_what_was_varied_best_first() -> None:
     assert {"gradient penalty", "starts", "discriminator reward", "steps before a fall"} <= set(
         table
     )
-    returns = table["return of an episode"].astype(int)
+    returns = table["return"].astype(int)
     assert list(returns) == sorted(returns, reverse=True)
     assert "320 of 2,000" in set(table["iterations"])
     assert "discriminator reward" not in search.table(search.load("humanoids", "ppo"))
@@ -149,11 +149,11 @@ def test_settings_are_judged_by_their_mean_over_both_bodies(write) -> None:
     assert np.isnan(lone["score"])
     silem = table[table["method"] == "silem"]
     begun = "as it began: rate of T 0.0001, gradient penalty 1"
-    near = {"rate of T 3e-5", begun}
+    near = {"rate of T 3e−5", begun}
     assert set(silem.loc[silem["near"], "setting"]) == near
     assert not table.loc[table["method"] == "silem-minus", "near"].any()
     assert list(table.loc[table["in_use"], "method"]) == ["silem", "silem-minus"]
-    assert row(table, "rate of T 1e-5, gradient penalty 0.1")["in_use"]
+    assert row(table, "rate of T 1e−5, gradient penalty 0.1")["in_use"]
     assert list(table.loc[table["first"], "method"]) == ["silem", "silem-minus"]
     assert row(table, begun)["first"]
 
@@ -167,7 +167,7 @@ def test_the_search_names_the_best_and_what_it_gains(write) -> None:
     said = search.says(frame)
     n = {m: len(planned(m)) for m in ("silem", "silem-minus")}
     assert f"SILEM: {n['silem']} of {n['silem']} settings have their runs on both bodies" in said
-    assert "rate of T 3e-5, 0.90 (0.50 where the search began)" in said
+    assert "rate of T 3e−5, 0.90 (0.50 where the search began)" in said
     assert f"0 of {n['silem-minus']} settings" in said
 
 
@@ -196,12 +196,17 @@ def test_with_and_without_the_penalty_stand_below_each_other(write) -> None:
         ]
         synthetic.write_record(config, return_mean=value)
     both = [results.load_records(name, "book") for name in ("halfcheetah", "no-gradient-penalty")]
-    table = search.penalty_table(*both).set_index(["body", "method", "penalty"])
-    returns = table["return of an episode"].to_dict()
+    frames = dict(zip(("yes", "no"), both, strict=True))
+    table = tables.beside("penalty", frames, ["silem", "silem-minus"])
+    table = table.set_index(["body", "method", "penalty"])
+    returns = table["return"].to_dict()
     assert 880 < int(returns["HC2", "SILEM", "yes"]) < 920
     assert 80 < int(returns["HC2", "SILEM", "no"]) < 120
     assert returns["HC1", "SILEM⁻", "no"] == "–"
-    assert table.loc[("HC1", "SILEM⁻", "no"), "trials"] == "no run"
+    gain = table.loc[("HC2", "SILEM", "no"), "difference in return"]
+    penalised, free = (int(returns["HC2", "SILEM", name]) for name in ("yes", "no"))
+    assert int(gain.replace("−", "-")) == pytest.approx(free - penalised, abs=1)
+    assert table.loc[("HC1", "SILEM⁻", "no"), "trials"] == "0"
 
 
 # ---------------------------------------------------------------- the transform's travel

@@ -166,6 +166,8 @@ def test_every_rival_has_as_many_runs_of_a_search_as_silem_had() -> None:
     table = walking.search_table(results.load_records("rivals-search", "book"))
     counts = [(table[name] == style.DASH).sum() for name in ("SILEM⁻", "TPIL", "Peng20")]
     assert counts == [len(silem)] * 3
+    deeper = table.set_index("setting").loc["layers of the encoder 2"]
+    assert deeper.to_dict() == {"Peng20": "not tried", "SILEM⁻": "not tried", "TPIL": style.DASH}
 
 
 def test_the_toy_of_the_reversal_is_drawn_and_told() -> None:

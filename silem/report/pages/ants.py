@@ -3,21 +3,16 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from pandas.io.formats.style import Styler
 
 from silem import bodies
 from silem.bodies.body import MAX_STEPS
-from silem.report import results, scores, statistics, style, tables, transforms
+from silem.report import results, scores, statistics, style, transforms
 from silem.report.scores import IMITATORS
 from silem.report.style import number
 from silem.report.transforms import feature_names
-from silem.study.settings import BUDGETS
-from silem.study.studies import seeds_of
 
 _FEWEST_BODIES, _NAMED = 4, 3  # that a rank correlation takes; entries that the sentence names
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
@@ -33,49 +28,19 @@ def survival(frame: pd.DataFrame) -> pd.DataFrame:
     standing for a whole episode at no cost. Of each imitator there is its score, and the same
     ratio of what is left when survival is taken out of both returns.
     """
-    rows, original = [], results.original_body(frame)
-
-    def mean(method: str, body: str, column: str) -> float:
-        values = results.scores(frame, method, body, column)
-        return float(values.mean()) if len(values) else np.nan
-
-    for body in results.body_names(frame):
-        level, steps = (mean("ppo", body, column) for column in ("return_mean", "steps"))
-        row: dict[str, Any] = {"body": body, SHARE: steps / level, STANDING: MAX_STEPS / level}
-        for method in IMITATORS:
-            label = style.method(method, original).label
-            earned, lasted = (mean(method, body, column) for column in ("return_mean", "steps"))
-            rest = level - steps if level > steps else np.nan
-            row |= {label: earned / level, f"{label}, moving": (earned - lasted) / rest}
-        rows.append(row)
-    return pd.DataFrame(rows).set_index("body")
-
-
-def absorbing_table(plain: pd.DataFrame, absorbing: pd.DataFrame) -> Styler:
-    """Return the cells of the second table beside the same trials of the first, and what differs.
-
-    Only seeds that both plan are compared. The interval is Welch's, from two trials each on.
-    """
-    rows, (study, budget) = [], results.context(absorbing)
-    seeds = seeds_of(study, BUDGETS[budget])
-    for body in results.body_names(absorbing):
-        for method in (m for m in IMITATORS if results.is_planned(absorbing, m, body)):
-            label = style.method(method, results.original_body(plain)).label
-            row: dict[Any, str] = {("", "body"): body, ("", "method"): label}
-            returns = []
-            for name, frame in {"as the paper": plain, "absorbing states": absorbing}.items():
-                runs = results.cell(frame, method, body)
-                runs = runs[runs["seed"].isin(seeds)]
-                returns.append(runs["return_mean"].to_numpy(dtype=np.float64))
-                row[name, "trials"] = str(len(runs)) if len(runs) else "not run yet"
-                row[name, "return"] = number(runs["return_mean"].mean())
-                row[name, "steps"] = number(runs["steps"].mean())
-                row[name, "m/s"] = number(runs["speed_m_s"].mean(), 2)
-            low, high = statistics.interval(returns[1], returns[0])
-            gain = returns[1].mean() - returns[0].mean() if all(map(len, returns)) else np.nan
-            text = number(gain) + ("" if np.isnan(low) else f" [{number(low)} to {number(high)}]")
-            rows.append(row | {("difference", "in return [95 %]"): text})
-    return tables.styled(pd.DataFrame(rows))
+    size = {"index": results.body_names(frame), "columns": ["ppo", *IMITATORS]}
+    earned, lasted = (
+        frame.pivot_table(column, "body", "method").reindex(**size).astype(float)
+        for column in ("return_mean", "steps")
+    )
+    level, steps = earned["ppo"], lasted["ppo"]
+    table = pd.DataFrame({SHARE: steps / level, STANDING: MAX_STEPS / level})
+    for method in IMITATORS:
+        label = style.method(method, results.original_body(frame)).label
+        rest = (level - steps).where(level > steps)
+        table[label] = earned[method] / level
+        table[f"{label}, moving"] = (earned[method] - lasted[method]) / rest
+    return table.rename_axis("body")
 
 
 def correlations(frame: pd.DataFrame) -> pd.DataFrame:

@@ -21,21 +21,16 @@ from silem.report import film, results, scores, style, tables
 from silem.report.style import number
 from silem.report.transforms import feature_groups
 from silem.study import demonstrate, runs
-from silem.study.config import TRIAL_SEEDS
 from silem.study.demonstrate import experts, trial_name
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.record import RunRecord
 from silem.study.settings import expert_of
-from silem.study.studies import BOTH, cells
+from silem.study.studies import BOTH
 from silem.util.errors import SilemError, choose
 
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
-_UNLIKE = {
-    "clip_actions": "Actions handed on as they are, not clipped",
-    "anneal_clip": "A clip range that falls with the learning rate",
-}
 
 
 class ExpertGait(NamedTuple):
@@ -109,20 +104,6 @@ def chosen(body: str, budget: str) -> tuple[str, str]:
         f" {len(experts(body, budget))} experts it has the highest evaluation return,"
         f" {number(record.evaluation['return_mean'])}."
     )
-
-
-def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
-    """Say, of what the experts' PPO does unlike ppo1, what HC0's expert returns without it."""
-    usual = results.cell(records, "ppo", "HC0")["return_mean"]
-    span = f"{number(usual.min())} to {number(usual.max())} ({style.trials(len(usual))})"
-    lines = []
-    for cell in (cell for cell in cells("fidelity") if cell.body == "HC0"):
-        ((name, _),), told = cell.overrides, "not run yet"
-        if run := runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id):
-            found = run.evaluation
-            told = f"{number(found['return_mean'])} at {number(found['speed_m_s'], 2)} m/s"
-        lines.append(f"- **{_UNLIKE[name]}**: {told}; otherwise {span}.")
-    return "\n".join(lines)
 
 
 def table(shown: Shown, demonstrator_name: str) -> Styler:
@@ -216,14 +197,11 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     """
     names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
     found = {x: e.gait for x, name in enumerate(names) if (e := shown[name])}
-    learners, titles = (
-        results.body_names(frame),
-        {"normalised": "score", "speed_m_s": "speed (m/s)"},
-    )
+    learners, quantities = results.body_names(frame), ("normalised", "speed_m_s")
     size = {"nrows": 2, "ncols": len(learners), "squeeze": False}
     figure, grid = style.new_figure(4.6, sharex=True, sharey="row", **size)
     for row, column in itertools.product(range(2), range(len(learners))):
-        axes, quantity, body = grid[row, column], list(titles)[row], learners[column]
+        axes, quantity, body = grid[row, column], quantities[row], learners[column]
         touch = nose_touch_pitch_rad(bodies.of_kind(body, BulletBody))
         axes.set(xlim=(-0.5, len(names) - 0.5))
         axes.update_datalim([(0, 0), (0, 1)])  # no zooming in on a lone run
@@ -237,7 +215,7 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
         if row == 0:
             axes.set_title(f"{body}: nose on the floor from {number(touch[0], 2)} rad")
         if column == 0:
-            axes.set_ylabel(titles[quantity])
+            axes.set_ylabel(style.QUANTITIES[quantity].heading)
         for x, name in enumerate(names):
             here = frame[(frame["body"] == body) & (frame["demonstrations"] == name)]
             if row == 0 and here[quantity].isna().all():  # said once
@@ -324,7 +302,7 @@ def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     ordered = frame.dropna(subset="normalised").sort_values("normalised")
     ends = ordered.iloc[[-1, 0][: len(ordered)]]
     return {
-        f"{word}: {run.body}, {style.method(run.method, short=True).label},"
+        f"{word}: {run.body}, {style.METHODS[run.method].short},"
         f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
         for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
     }

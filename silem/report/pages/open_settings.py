@@ -4,46 +4,24 @@ The search is the study "open-settings". What was tried before it was recorded a
 ``data/search``, one entry per exploratory run; it is history, and no result rests on it.
 """
 
-import math
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
-from silem import bodies
 from silem.report import results, style, tables
-from silem.report.curves import QUANTITIES
-from silem.report.style import number
-from silem.study.config import RunConfig
+from silem.report.style import QUANTITIES, number
 from silem.study.record import TRANSFORM
-from silem.study.settings import BUDGETS, HyperParameters
-from silem.study.studies import BOTH, SEARCHED_FROM, cells, seeds_of
+from silem.study.settings import HyperParameters
+from silem.study.studies import SEARCHED_FROM
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
 NEAR_BEST = 0.02
 """Settings whose score is within this share of the best are as good; the nearer to the paper's, or
 to the default, is taken (`silem.study.studies`)."""
-
-_NAMES = {
-    "disc_learning_rate": "rate of D",
-    "transform_learning_rate": "rate of T",
-    "gradient_penalty": "gradient penalty",
-    "transform_l2_scale": "L2 on A",
-    "transform_l2_bias": "L2 on b",
-    "transform_l2_form": "L2",
-    "disc_entropy_coef": "entropy bonus",
-    "learning_rate": "rate of PPO",
-    "clip_range": "clip range",
-    "n_epochs": "epochs",
-    "minibatch_size": "minibatch",
-    "log_std_init": "first std",
-    "starts": "starts",
-}
 
 
 def settings(frame: pd.DataFrame) -> pd.DataFrame:
@@ -53,22 +31,11 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
     (it is what the study has now), a body's mean score each, ``score`` (their mean, NaN while a
     body's run is missing) and ``near`` (within `NEAR_BEST` of the method's best).
     """
-    study, budget = results.context(frame)
-    score = frame.set_index("run_id")["normalised"]
-    rows: dict[tuple[str, str], dict[str, Any]] = {}
-    for cell in cells(study):
-        configs = [cell.config(budget, seed) for seed in seeds_of(study, BUDGETS[budget])]
-        usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
-        began = SEARCHED_FROM[cell.method]
-        changed = [item for item in cell.overrides if began.get(item[0]) != item[1]]
-        words = [f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in changed or began.items()]
-        setting = ", ".join(words) if changed else f"as it began: {', '.join(words)}"
-        about = {"method": cell.method, "setting": setting, "in_use": configs[0].hyper == usual}
-        about["first"] = not changed
-        row = rows.setdefault((cell.method, setting), about)
-        row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
-    table = pd.DataFrame(rows.values())
-    table["score"] = table[results.body_names(frame)].mean(axis=1, skipna=False)
+    names, keys = results.body_names(frame), ["method", "setting", "first", "in_use"]
+    tried = tables.searched(frame, SEARCHED_FROM)
+    score = tried.groupby([*keys, "body"], sort=False)["normalised"].mean()
+    table = score.unstack().reindex(score.index.droplevel("body").unique()).reset_index()
+    table["score"] = table[names].mean(axis=1, skipna=False)
     best = table.groupby("method")["score"].transform("max")
     return table.assign(near=table["score"] >= best - NEAR_BEST * best.abs())
 
@@ -82,7 +49,7 @@ def found(frame: pd.DataFrame) -> Styler:
     table, names, write = settings(frame), results.body_names(frame), partial(number, digits=2)
     mean = table["score"].map(write)
     shown = {
-        "method": table["method"].map(partial(_label, names[0])),
+        "method": table["method"].map(lambda name: style.METHODS[name].short),
         "setting": table["in_use"].map({True: "→ ", False: ""}) + table["setting"],
         **{body: table[body].map(write) for body in names},
         "mean": mean.mask(table["near"], "<strong>" + mean + "</strong>"),
@@ -96,7 +63,7 @@ def says(frame: pd.DataFrame) -> str:
     """Say of each method which setting is the best so far, and what it gains on the first."""
     sentences = []
     for method, tried in settings(frame).groupby("method", sort=False):
-        name, known = _label("HC1", str(method)), tried.dropna(subset=["score"])
+        name, known = style.METHODS[str(method)].short, tried.dropna(subset=["score"])
         text = f"{name}: {len(known)} of {len(tried)} settings have their runs on both bodies"
         if len(known):
             best = known.loc[known["score"].idxmax()]
@@ -155,21 +122,6 @@ def travel_table(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows or [{"body": style.DASH, "runs": "no run"}])
 
 
-def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
-    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
-    rows, frames = [], {"yes": penalised, "no": unpenalised}
-    bodies_and_methods = product(results.body_names(unpenalised), BOTH)
-    for (body, method), penalty in product(bodies_and_methods, frames):
-        runs = results.cell(frames[penalty], method, body)
-        row = {"body": body, "method": _label(body, method), "penalty": penalty}
-        row["trials"] = str(len(runs)) if len(runs) else "no run"
-        for name in ("return_mean", "disc_reward", "speed_m_s"):
-            heading, digits = QUANTITIES[name]
-            row[heading] = number(runs[name].mean(), digits)
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
 def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
     """Return a family's exploratory runs of ``data/search``, of one method or of all."""
     choose("family", family, ("halfcheetah", "humanoids"))
@@ -203,29 +155,17 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     ordered = frame.join(last).sort_values(
         ["body", "method", "return_mean"], ascending=[True, True, False]
     )
-    varied = [name for name in _NAMES if name in frame and frame[name].nunique() > 1]
+    about = {"name", "body", "method", "schedule", "curve"}
+    varied = [name for name in frame if name not in about and frame[name].nunique() > 1]
     rows = []
     for run in ordered.to_dict("records"):
-        told = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        told = {"body": run["body"], "method": style.METHODS[run["method"]].short}
         row = {"run": run["name"].replace("_", "_<wbr>")}
         row |= {name: value for name, value in told.items() if frame[name].nunique() > 1}
-        row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
+        row |= dict(tables.setting(name, run[name]) for name in varied)
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in QUANTITIES.items():
             if name in last and last[name].notna().any():
                 row[heading] = number(run[name], digits)
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _written(name: str, value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    if pd.isna(value):
-        return style.DASH
-    return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}".replace("e-0", "e-")
-
-
-def _label(body: str, method: str) -> str:
-    original = "" if bodies.get(body).family == "humanoid" else "HC0"
-    return style.method(method, original, short=True).label

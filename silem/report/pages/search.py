@@ -12,12 +12,9 @@ from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 from scipy import stats
 
-from silem import paper
 from silem.report import statistics, style, tables
 from silem.report.style import number
 from silem.study.studies import Ranked
-
-_SYMBOLS = {about.parameter: symbol for symbol, about in paper.symbols().items()}
 
 
 def _varied(ranked: Sequence[Ranked]) -> dict[str, list[Any]]:
@@ -34,8 +31,7 @@ def table(ranked: Sequence[Ranked]) -> Styler:
     rows = [
         {
             "place": f"{place}{' (supplement)' if entry.is_papers else ''}",
-            **{_SYMBOLS[name]: f"{value:g}" for name, value in entry.settings.items()
-               if name in _SYMBOLS},
+            **dict(tables.setting(*item) for item in entry.settings.items()),
             "score": number(entry.score),
             "its trials": "; ".join(map(number, entry.returns)),
             "on fresh seeds": "; ".join(map(number, entry.fresh)) or style.DASH,
@@ -96,17 +92,15 @@ def curse_says(ranked: Sequence[Ranked]) -> str:
 def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
     """Draw the score against each setting that was varied: configurations, and means by value."""
     varied = _varied(ranked) or {"": []}
-    named = {
-        name: f"{name.replace('_', ' ')} ({_SYMBOLS[name]})" if name else title for name in varied
-    }
-    figure, grid = style.panels(named.values(), 1.9, 3, sharey=True)
+    named = [tables.setting(name, "")[0] or title for name in varied]
+    figure, grid = style.panels(named, 1.9, 3, sharey=True)
     dots: dict[str, Any] = {"color": style.method("silem").color, "alpha": 0.45, "mec": "none"}
     for axes, (name, values) in zip(grid, varied.items(), strict=True):
         for x, value in enumerate(values):
             scores = [entry.score for entry in ranked if entry.settings[name] == value]
             axes.plot(np.full(len(scores), x), scores, "o", ms=4, **dots)
             axes.plot([x - 0.25, x + 0.25], [np.mean(scores)] * 2, color=style.INK, lw=1.6)
-        axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
+        axes.set_xticks(range(len(values)), [number(value, None) for value in values])
         axes.set_xlim(-0.6, max(len(values), 1) - 0.4)
         if not values:
             style.say(axes, "not run yet")

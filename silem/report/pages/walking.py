@@ -19,14 +19,13 @@ from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.motion.demonstrator import CLIPS, published_motion
 from silem.motion.gait import distance, walk
-from silem.report import film, notebook, results, style
+from silem.report import film, notebook, results, style, tables
 from silem.report.claims import MARGIN
-from silem.report.curves import QUANTITIES, rises
+from silem.report.curves import rises
 from silem.report.scores import COMPARED
-from silem.report.style import number
+from silem.report.style import QUANTITIES, number
 from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
-from silem.study.settings import BUDGETS
-from silem.study.studies import BOTH, cells, seeds_of
+from silem.study.studies import BOTH, cells
 from silem.study.training import task_options
 from silem.util import files, paths
 
@@ -141,7 +140,7 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
         for found in gaits(frame).itertuples():
             row = {
                 "body": found.body,
-                "method": style.method(found.method, "").name,
+                "method": style.METHODS[found.method].short,
                 "runs": name,
                 "trials": number(len(found.run_ids)),
                 "return": number(found.return_mean),
@@ -195,12 +194,11 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     if not run_id:
         return pd.DataFrame([{"iterations": "no run"}])
     curve, rows = results.load_curve(run_id), []
-    headings = QUANTITIES | {"policy_std": ("policy's standard deviation", 2)}
     for share in _SHARES:
         part = _just_before(curve, share)
         row = {"iterations": number(share * curve["iteration"].max())}
         for name in _MILESTONES:
-            heading, digits = headings[name]
+            heading, digits = QUANTITIES[name]
             row[heading] = number(part[name], digits)
         row["reward of D per step"] = number(part["disc_reward"] / part["episode_length"], 2)
         rows.append(row)
@@ -247,7 +245,7 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     )
     names = results.body_names(frame)
     for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
-        label = f"{style.method(method, '').name}\n{body}"
+        label = f"{style.METHODS[method].short}\n{body}"
         if run_id := best_run(frame, method, body):
             clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
         else:
@@ -285,19 +283,14 @@ def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) 
 
 def search_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, what each setting of the rivals' search led to: return, steps survived."""
-    study, budget = results.context(frame)
-    made, (seed,) = frame.set_index("run_id"), seeds_of(study, BUDGETS[budget])
-    usual = {(c.method, c.body): len(c.overrides) for c in cells("humanoids")}
-    table: dict[str, dict[str, str]] = {}
-    for cell in cells(study):
-        changed = [f"{n} {v}" for n, v in cell.overrides[usual[cell.method, cell.body] :]]
-        run = made.reindex([cell.config(budget, seed).run_id]).iloc[0]
-        told = f"{number(run['return_mean'])}, {number(MAX_STEPS * run['upright'])} steps"
-        row = table.setdefault(", ".join(changed) or "its own", {})
-        label = style.method(cell.method, "").label
-        row[label] = style.DASH if math.isnan(run["return_mean"]) else told
-    rows = [{"setting": setting} | row for setting, row in table.items()]
-    return pd.DataFrame(rows).fillna("not tried")
+    began = {cell.method: dict(cell.overrides) for cell in cells("humanoids")}
+    tried = tables.searched(frame, began).set_index(["setting", "method"])
+    steps = (MAX_STEPS * tried["upright"]).map(number)
+    told = tried["return_mean"].map(number) + ", " + steps + " steps"
+    told = told.where(tried["upright"].notna(), style.DASH)
+    table = told.unstack(fill_value="not tried").reindex(told.index.unique("setting"))
+    names = {name: method.short for name, method in style.METHODS.items()}
+    return table.rename(columns=names).reset_index()
 
 
 def reversal() -> pd.DataFrame:
@@ -359,5 +352,5 @@ def reversal_figure() -> Figure:
     for axes in panels[-2:]:
         axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
     note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
-    seeds = " to ".join(dict.fromkeys(str(n) for n in (found["seed"].min(), found["seed"].max())))
-    return style.finish(figure, list(handles.values()), f"{note}; seeds: {seeds}", ncols=4)
+    note += f"; seeds: {style.span(found['seed'])}"
+    return style.finish(figure, list(handles.values()), note, ncols=4)
