@@ -24,9 +24,9 @@ from pandas.io.formats.style import Styler
 from silem import bodies, paper
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.report import results, statistics
+from silem.report import results, statistics, style
 from silem.report.statistics import NO_INTERVAL, Interval
-from silem.report.style import METHODS, QUANTITIES, Quantity, number, span
+from silem.report.style import METHODS, QUANTITIES, Quantity, number
 from silem.report.tables import small, styled
 from silem.study.settings import BUDGETS
 from silem.study.studies import cells
@@ -368,10 +368,9 @@ def _value(finding: Finding, planned: int, *, alone: bool, trials: bool) -> str:
     """Write a value with everything that bears on it; its name before it unless it is alone."""
     measure = finding.measure
     write = partial(number, digits=measure.digits)
-    text = write(finding.ours) if alone else f"{measure.name} {write(finding.ours)}"
+    text = style.estimate(finding.ours, finding.interval, measure.digits)
+    text = text if alone else f"{measure.name} {text}"
     lines = [f"{name} {count}" for name, count in finding.trials.items()] if trials else []
-    if np.isfinite(finding.interval).all():
-        text += f" [{span(finding.interval, measure.digits)}]"
     if measure.name == "score" and not np.isnan(finding.of_best):
         lines.append(f"against the best expert {write(finding.of_best)}")
     if not np.isnan(finding.wins):

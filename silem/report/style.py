@@ -221,6 +221,11 @@ def span(values: Iterable[float], digits: int = 0) -> str:
     return " to ".join(dict.fromkeys(ends))
 
 
+def estimate(value: float, ends: tuple[float, float], digits: int = 0) -> str:
+    """Write a number with its interval, "3 [1 to 5]", and without one that is not known."""
+    return number(value, digits) + (f" [{span(ends, digits)}]" if np.isfinite(ends).all() else "")
+
+
 def trials(count: int) -> str:
     """Say how many trials there are: "no run", "one trial", "5 trials"."""
     return {0: "no run", 1: "one trial"}.get(count, f"{count} trials")

@@ -127,8 +127,8 @@ def beside(what: str, frames: Mapping[str, pd.DataFrame], methods: Sequence[str]
         old, new = (results.cell(f[f["seed"].isin(seeds)], method, body) for f in (before, after))
         cells += [(called | {what: first}, old), (called | {what: second}, new)]
         returns = new["return_mean"], old["return_mean"]
-        gain, ends = number(returns[0].mean() - returns[1].mean()), statistics.interval(*returns)
-        gains += ["", gain + (f" [{style.span(ends)}]" if np.isfinite(ends).all() else "")]
+        gain = returns[0].mean() - returns[1].mean()
+        gains += ["", style.estimate(gain, statistics.interval(*returns))]
     columns = ["return_mean", "steps", "disc_reward", "speed_m_s"]
     return means(cells, columns).assign(**{"difference in return": gains})
 

@@ -156,9 +156,8 @@ def agreement(frame: pd.DataFrame) -> pd.DataFrame:
         known = np.isfinite(hoped)
         row["rank correlation"] = style.DASH
         if len(best) and known.any():
-            found = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
-            rho, low, high = (number(value, 2) for value in found)
-            row["rank correlation"] = f"{rho} [{low} to {high}]"
+            rho, *ends = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
+            row["rank correlation"] = style.estimate(rho, (ends[0], ends[1]), 2)
         rows.append(row)
     return pd.DataFrame(rows)
 

@@ -231,9 +231,7 @@ def test_which_gait_can_be_imitated(execute: Execute) -> None:
     page = execute("13_demonstrators", n_trajectories=1, video_s=0.1)
     assert output(page, "imitated").startswith("<svg")
     assert "20 of the planned runs not made yet" in words(output(page, "imitated-runs"))
-    (cell,) = [cell for cell in page.cells if cell.id == "decided"]
-    told = "".join(cell.outputs[0].data["text/markdown"])
-    assert "**HC1**: not to be told yet" in told
+    assert words(output(page, "decided")).count("not to be told yet") == 2
     assert "No video" in output(page, "video")
 
 
@@ -267,11 +265,6 @@ def test_open_settings(execute: Execute) -> None:
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
     assert spoken["near_best"] == "2"
-    transforms = sum(
-        len(results.cell(results.load_records("halfcheetah", "book"), "silem", body))
-        for body in ("HC0", "HC1", "HC2")
-    )
-    assert spoken["travel_says"].startswith(f"Of {transforms} transforms")
     assert "in the study now" in words(output(page, "search"))
     assert "How far the transforms went" in words(output(page, "travel"))
     for cell_id in ("humanoid-ppo-curves", "humanoid-silem-curves"):

@@ -114,7 +114,7 @@ def test_survival_is_taken_out_of_both_returns(frame: pd.DataFrame) -> None:
 @synthetic.study("empty")
 def test_without_runs_survival_and_tracking_say_so(frame: pd.DataFrame) -> None:
     assert ants.survival(frame).isna().all(axis=None)
-    assert "not run yet" in ants.tracking_says(ants.correlations(frame))
+    assert ants.correlations(frame).empty
     assert beside(frame)["trials"].eq("0").all() and len(beside(frame)) == 8
 
 
@@ -139,11 +139,8 @@ def test_what_tracks_the_length_is_found_and_little_else(frame: pd.DataFrame) ->
     assert len(found) == 2 * synthetic.N_FEATURES["ant"]
     (velocity,) = found[(found["entry"] == "A") & (found["feature"] == "forward velocity")].index
     assert found.loc[velocity, "rho"] > 0.9 and found.loc[velocity, "low"] > 0.8
-    others = found.drop(velocity)
-    assert ((others["low"] > 0) | (others["high"] < 0)).mean() < 0.15
-    said = ants.tracking_says(found)
-    assert said.startswith("Of 56 entries") and "2.8 would" in said
-    assert "The strongest: A of forward velocity (" in said
+    assert found["sure"].equals((found["low"] > 0) | (found["high"] < 0)) and found.sure[velocity]
+    assert found["sure"].drop(velocity).mean() < 0.15
     blue = lines_at(ants.tracking(frame).axes[0], style.METHODS["silem"].color)
     assert any(line.get_marker() == "o" and line.get_xdata()[0] > 0.9 for line in blue)
 

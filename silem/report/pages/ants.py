@@ -11,12 +11,10 @@ from silem import bodies
 from silem.bodies.body import MAX_STEPS
 from silem.report import results, scores, statistics, style, transforms
 from silem.report.scores import IMITATORS
-from silem.report.style import number
 from silem.report.transforms import feature_names
 
-_FEWEST_BODIES, _NAMED = 4, 3  # that a rank correlation takes; entries that the sentence names
+_FEWEST_BODIES = 4  # that a rank correlation takes
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
-_COLUMNS = ("entry", "feature", "rho", "low", "high")
 SHARE, STANDING = "survival, of the expert's return", "standing"
 
 
@@ -46,8 +44,9 @@ def survival(frame: pd.DataFrame) -> pd.DataFrame:
 def correlations(frame: pd.DataFrame) -> pd.DataFrame:
     """Return how each entry of SILEM's T goes with the length of its body's links, over all trials.
 
-    Columns are ``entry`` ("A" or "b"), ``feature``, Spearman's ``rho``, and ``low`` and ``high`` of
-    its 95 % interval. Without trials of `_FEWEST_BODIES` bodies there is no row.
+    Columns are ``entry`` ("A" or "b"), ``feature``, Spearman's ``rho``, ``low`` and ``high`` of its
+    95 % interval, and whether zero is outside, ``sure``. Without trials of
+    `_FEWEST_BODIES` bodies there is no row.
     """
     runs, rows = results.select(frame, ["silem"]), []
     if runs["body"].nunique() >= _FEWEST_BODIES:
@@ -57,23 +56,8 @@ def correlations(frame: pd.DataFrame) -> pd.DataFrame:
             columns = np.array([arrays[entry] for arrays in learned]).T
             for feature, values in zip(feature_names(runs["body"][0]), columns, strict=True):
                 rows.append((entry, feature, *statistics.rank_correlation(lengths, values)))
-    return pd.DataFrame(rows, columns=list(_COLUMNS))
-
-
-def tracking_says(found: pd.DataFrame) -> str:
-    """Say which entries of `correlations` track the links' length, and how many do by chance."""
-    if found.empty:
-        return f"T has not been learned on {_FEWEST_BODIES} bodies yet: not run yet."
-    sure = found[(found["low"] > 0) | (found["high"] < 0)]
-    chance = number((1 - statistics.LEVEL) * len(found), 1)
-    text = f"Of {len(found)} entries of A and b the intervals of {len(sure)} exclude zero"
-    text += f"; {chance} would where nothing tracks anything."
-    strongest = sure.loc[sure["rho"].abs().sort_values(ascending=False).index].head(_NAMED)
-    named = []
-    for row in strongest.itertuples():
-        rho, low, high = (number(value, 2) for value in (row.rho, row.low, row.high))
-        named.append(f"{row.entry} of {row.feature} ({rho}, {low} to {high})")
-    return f"{text} The strongest: {'; '.join(named)}." if named else text
+    found = pd.DataFrame(rows, columns=["entry", "feature", "rho", "low", "high"])
+    return found.assign(sure=found["low"] * found["high"] > 0)
 
 
 @style.applied()
@@ -85,8 +69,7 @@ def tracking(frame: pd.DataFrame) -> Figure:
     for entry, axes in panels.items():
         axes.set(xlim=(-1.05, 1.05), xlabel="rank correlation with the links' length")
         for place, row in zip(places, found[found["entry"] == entry].itertuples(), strict=False):
-            sure = row.low > 0 or row.high < 0
-            color = style.method("silem").color if sure else style.MUTED
+            color = style.method("silem").color if row.sure else style.MUTED
             axes.plot([row.low, row.high], [place, place], color=color, lw=1.4)
             axes.plot(row.rho, place, "o", color=color, ms=4.5)
         if found.empty:

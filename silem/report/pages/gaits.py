@@ -261,40 +261,30 @@ def effects(values: np.ndarray) -> tuple[float, float, float, float]:
     return rows / total, columns / total, rows_p, float(stats.ttest_rel(first, second).pvalue)
 
 
-def decided(frame: pd.DataFrame, shown: Shown) -> str:
-    """Say of each body what moved the scores: who demonstrated, or the transform.
+def decided(frame: pd.DataFrame, shown: Shown) -> Styler:
+    """Return what moved the scores of each body: who demonstrated, or the transform.
 
     An analysis of variance without replication: demonstrators are rows, methods columns, and what
     neither explains is the error that both are tested against (F tests at 5 %).
     """
-    lines, write = [], partial(number, digits=2)
+    table, write = [], partial(number, digits=2)
     for body in results.body_names(frame):
         of_body = frame[frame["body"] == body]
         both = of_body.pivot_table("normalised", "demonstrations", "method")
         both = both.reindex(columns=list(BOTH)).dropna()
-        known = f"{len(both)} of {len(shown)} demonstrators have both scores."
-        if len(both) < 2:
-            lines.append(f"- **{body}**: not to be told yet; {known}")
-            continue
-        means = both.mean(axis=1).rename(_trial)
-        rows, columns, rows_p, columns_p = effects(both.to_numpy())
-        verdict = {
-            (True, True): "Both the teacher and the transform matter.",
-            (True, False): "The teacher decided, not the transform.",
-            (False, True): "The transform decided, not the teacher.",
-            (False, False): "Neither can be told from chance with these runs.",
-        }[rows_p < _CHANCE, columns_p < _CHANCE]
-        gain = write(float((both["silem"] - both["silem-minus"]).mean()))
-        lines.append(
-            f"- **{body}**: {known} Between them the score goes from"
-            f" {write(means.min())} (trial {means.idxmin()}) to"
-            f" {write(means.max())} (trial {means.idxmax()}); the transform"
-            f" changes it by {gain} on average. {number(100 * rows)} % of the variance"
-            f" goes with the demonstrator (p = {rows_p:.2g}),"
-            f" {number(100 * columns)} % with the transform (p = {columns_p:.2g}),"
-            f" the rest with chance and how the two meet. {verdict}"
-        )
-    return "\n".join(lines)
+        row = {"body": body, "both scores": f"{len(both)} of {len(shown)} demonstrators"}
+        if len(both) >= 2:
+            means = both.mean(axis=1).rename(_trial)
+            row["worst teacher"] = f"{write(means.min())}, trial {means.idxmin()}"
+            row["best teacher"] = f"{write(means.max())}, trial {means.idxmax()}"
+            row["gain by T"] = write(float((both["silem"] - both["silem-minus"]).mean()))
+            rows, columns, rows_p, columns_p = effects(both.to_numpy())
+            row["variance by teacher"] = f"{number(100 * rows)} % (p = {rows_p:.2g})"
+            row["by transform"] = f"{number(100 * columns)} % (p = {columns_p:.2g})"
+            causes = ["teacher"] * (rows_p < _CHANCE) + ["transform"] * (columns_p < _CHANCE)
+            row["decided by"] = " and ".join(causes) or "chance, as far as these runs tell"
+        table.append({"decided by": "not to be told yet"} | row)
+    return tables.styled(pd.DataFrame(table).fillna(style.DASH))
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:

@@ -23,6 +23,8 @@ NEAR_BEST = 0.02
 """Settings whose score is within this share of the best are as good; the nearer to the paper's, or
 to the default, is taken (`silem.study.studies`)."""
 
+_NEAR_BOUND = 0.1
+
 
 def settings(frame: pd.DataFrame) -> pd.DataFrame:
     """Return what the search tried, a row for each method and setting, in the plan's order.
@@ -59,22 +61,6 @@ def found(frame: pd.DataFrame) -> Styler:
     return tables.styled(pd.DataFrame(shown), caption)
 
 
-def says(frame: pd.DataFrame) -> str:
-    """Say of each method which setting is the best so far, and what it gains on the first."""
-    sentences = []
-    for method, tried in settings(frame).groupby("method", sort=False):
-        name, known = style.METHODS[str(method)].short, tried.dropna(subset=["score"])
-        text = f"{name}: {len(known)} of {len(tried)} settings have their runs on both bodies"
-        if len(known):
-            best = known.loc[known["score"].idxmax()]
-            text += f"; the best is {best['setting']}, {number(best['score'], 2)}"
-            first = known.loc[known["first"], "score"]
-            if len(first) and not best["first"]:
-                text += f" ({number(first.max(), 2)} where the search began)"
-        sentences.append(f"{text}.")
-    return " ".join(sentences)
-
-
 def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
     """Return how far T's entries can go: Adam's steps are about as long as its rate."""
     iterations = np.arange(n_iterations)
@@ -99,26 +85,18 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["run_id", "body", "allowed", "A", "b"])
 
 
-def travel_says(table: pd.DataFrame) -> str:
-    """Say how many transforms went to where their rate lets them, within a tenth."""
-    if table.empty:
-        return "No run with an affine transform has been published at this budget yet."
-    largest = table[["A", "b"]].max(axis=1) / table["allowed"]
-    return (
-        f"Of {len(table)} transforms {int((largest > 0.9).sum())} went to their bound, or within a"
-        f" tenth of it; the median of the largest entries lies at"
-        f" {number(100 * largest.median())} % of it."
-    )
-
-
 def travel_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return, as text, medians and largest of the transforms' travel for each body and bound."""
+    """Return, as text, how far the transforms of each body and bound went, and how many stop there.
+
+    Those are at their bound whose largest entry is within a tenth of it.
+    """
     rows = []
     for (body, allowed), runs in table.groupby(["body", "allowed"]):
         row = {"body": body, "runs": str(len(runs)), "rate of T × its steps": f"{allowed:.3g}"}
         for entry, title in (("A", "largest |A − 1|"), ("b", "largest |b|")):
             row[title] = f"{runs[entry].median():.2g}, at most {runs[entry].max():.2g}"
-        rows.append(row)
+        there = runs[["A", "b"]].max(axis=1) > (1 - _NEAR_BOUND) * allowed
+        rows.append(row | {"at their bound": str(there.sum())})
     return pd.DataFrame(rows or [{"body": style.DASH, "runs": "no run"}])
 
 

@@ -27,17 +27,17 @@ def _varied(ranked: Sequence[Ranked]) -> dict[str, list[Any]]:
 
 
 def table(ranked: Sequence[Ranked]) -> Styler:
-    """Return the ranking: place, settings by the paper's symbols, score, trials, fresh trials."""
-    rows = [
-        {
-            "place": f"{place}{' (supplement)' if entry.is_papers else ''}",
-            **dict(tables.setting(*item) for item in entry.settings.items()),
-            "score": number(entry.score),
-            "its trials": "; ".join(map(number, entry.returns)),
-            "on fresh seeds": "; ".join(map(number, entry.fresh)) or style.DASH,
-        }
-        for place, entry in enumerate(ranked, 1)
-    ]  # fmt: skip
+    """Return the ranking: place, settings, score, trials, and what fresh seeds make of it."""
+    rows = []
+    for place, entry in enumerate(ranked, 1):
+        row = {"place": f"{place}{' (supplement)' if entry.is_papers else ''}"}
+        row |= dict(tables.setting(*item) for item in entry.settings.items())
+        row |= {"score": number(entry.score), "its trials": "; ".join(map(number, entry.returns))}
+        row["on fresh seeds"] = "; ".join(map(number, entry.fresh)) or style.DASH
+        change = float(np.mean(entry.fresh)) - entry.score if entry.fresh else np.nan
+        ends = statistics.interval(entry.fresh, entry.returns)
+        row["change [95 %]"] = style.estimate(change, ends)
+        rows.append(row)
     return tables.styled(pd.DataFrame(rows or [{"place": "not run yet"}]), "Mean true returns")
 
 
@@ -63,29 +63,6 @@ def says(ranked: Sequence[Ranked], n_planned: int) -> str:
         f" the rankings by the first and by the second trial alone have a rank correlation of"
         f" {number(rho, 2)}."
     )
-
-
-def curse_says(ranked: Sequence[Ranked]) -> str:
-    """Say what the winner scored in the search, and what on seeds that have not chosen it."""
-    chosen = [entry for entry in ranked if entry is ranked[0] or entry.is_papers]
-    if not chosen or not chosen[0].fresh:
-        return "The winner has not been run on fresh seeds: not run yet."
-    said = []
-    for entry in chosen:
-        both = entry is ranked[0] and entry.is_papers
-        name = "The winner" if entry is ranked[0] else "The supplement's best"
-        name += ", which is the supplement's best," if both else ""
-        if not entry.fresh:
-            said.append(f"{name} has no fresh trial yet.")
-            continue
-        fresh, (low, high) = np.mean(entry.fresh), statistics.interval(entry.fresh, entry.returns)
-        inside = f" [{number(low)} to {number(high)}]" if np.isfinite(low) else ""
-        said.append(
-            f"{name} scored {number(entry.score)} in the search and {number(float(fresh))} on"
-            f" {len(entry.fresh)} fresh seeds, a difference of"
-            f" {number(float(fresh) - entry.score)}{inside}."
-        )
-    return " ".join(said)
 
 
 @style.applied()
