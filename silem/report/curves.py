@@ -22,7 +22,6 @@ DRAWN = ("return_mean", "episode_length", "disc_reward", "speed_m_s")
 """The columns of a curve that figures of several runs show."""
 
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-_N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
 _TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
 
@@ -52,9 +51,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
             _draw_mean(axes, trials, quantity, method)
         axes.margins(x=0.01)
         axes.xaxis.set_major_locator(MaxNLocator(4 if len(names) < 5 else 2))
-        if not axes.lines:
-            style.say(axes, "not recorded" if (frame["body"] == body).any() else "no run")
-    style.no_scales_without_lines(grid)
+        if not axes.lines and (frame["body"] == body).any():
+            style.say(axes, "not recorded")
     for row, quantity in zip(grid, quantities, strict=True):
         row[0].set_ylabel(QUANTITIES[quantity].heading)
     for column, body in zip(grid.T, names, strict=True):
@@ -121,14 +119,13 @@ def of_run(record: RunRecord) -> Figure:
     shown = [name for name in (*DRAWN, "disc_acc_expert", "policy_std") if name in known]
     shown = shown[: 6 if "episode_length" in known else 4]
     look: dict[str, Any] = {"color": style.INK, "marker": "o" if len(curve) < 12 else "", "ms": 3.5}
-    word, n_columns = "no episode ended during training", 3 if len(shown) == 3 else 2
-    figure, grid = draw(shown, [(curve, look)], 2.0, n_columns, word)
+    figure, grid = draw(shown, [(curve, look)], 2.0, 3 if len(shown) == 3 else 2)
     for axes in (axes for axes, name in zip(grid, shown, strict=True) if "acc" in name):
         look["color"] = style.method("silem").color
         axes.plot(curve["iteration"], curve["disc_acc_learner"], **look)
         axes.set_ylim(0, 1.05)
         axes.legend(axes.lines, ["on expert windows", "on learner windows"], loc="lower right")
-    return style.finish(figure, note=record.run_id)
+    return style.finish(figure, note=record.run_id, word="no episode ended during training")
 
 
 def draw(
@@ -136,7 +133,6 @@ def draw(
     lines: Sequence[tuple[pd.DataFrame, dict[str, Any]]],
     row_in: float = 2.1,
     n_columns: int = 2,
-    word: str = "no run",
 ) -> tuple[Figure, list[Axes]]:
     """Draw curves, each with its look, over iterations: a panel for each of `QUANTITIES`."""
     titles = (QUANTITIES[name].heading for name in panels)
@@ -147,12 +143,8 @@ def draw(
             if len(known):
                 axes.plot(known["iteration"], known[column], **look)
         axes.ticklabel_format(axis="y", useOffset=False)
-        if not axes.lines:
-            axes.set_yticks([])
-            style.say(axes, word)
     for axes in grid[-n_columns:]:
         axes.set_xlabel("iteration")
-    style.no_scales_without_lines([grid])
     return figure, grid
 
 
@@ -163,22 +155,17 @@ def _handles(methods: Sequence[str], frame: pd.DataFrame) -> list[Line2D]:
 
 
 def _draw_mean(axes: Axes, trials: Sequence[pd.DataFrame], quantity: str, method: str) -> None:
-    """Draw the mean of those trials that know a quantity, and their range, on one grid of steps."""
-    known = [curve[["timesteps", quantity]].dropna() for curve in trials]
-    known = [curve for curve in known if len(curve)]
-    if not known:
+    """Draw the mean of those trials that know a quantity, and their range, where all have begun."""
+    known = [curve.set_index("timesteps")[quantity].dropna() for curve in trials]
+    smooth = [c.rolling(min(_SMOOTHING, len(c)), 1, True).mean() for c in known if len(c)]
+    if not smooth:
         return
-    first = max(curve["timesteps"].iloc[0] for curve in known)
-    last = min(curve["timesteps"].iloc[-1] for curve in known)
-    x, color = np.linspace(first, last, _N_POINTS), style.method(method).color
-    smooth = [c.rolling(min(_SMOOTHING, len(c)), center=True, min_periods=1).mean() for c in known]
-    values = [
-        np.interp(x, curve["timesteps"], means[quantity])
-        for curve, means in zip(known, smooth, strict=True)
-    ]
-    axes.plot(x / 1e6, np.mean(values, axis=0), color=color, lw=1.5)
-    if len(values) > 1:
-        span: Any = np.min(values, axis=0), np.max(values, axis=0)
-        if len(values) >= scores.INTERVAL_TRIALS:
-            span = np.transpose([statistics.interval(step) for step in np.transpose(values)])
-        axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
+    values = pd.concat(smooth, axis="columns").sort_index()
+    values = values.interpolate("index", limit_area="inside").dropna()
+    x, color = values.index / 1e6, style.method(method).color
+    axes.plot(x, values.mean(axis="columns"), color=color, lw=1.5)
+    if len(smooth) > 1:
+        span: Any = values.min(axis="columns"), values.max(axis="columns")
+        if len(smooth) >= scores.INTERVAL_TRIALS:
+            span = np.transpose([statistics.interval(step) for step in values.to_numpy()])
+        axes.fill_between(x, *span, color=color, alpha=0.16, lw=0)

@@ -309,7 +309,7 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     its replicates; or an entry of T, the mean over the features whose names begin so: ``"b pitch"``
     of a runner, ``"A left_hand"`` of a humanoid, or a difference, ``"b left_elbow - right_elbow"``.
     """
-    from silem.report.transforms import feature_names  # which reads results
+    from silem.report import transforms  # which reads results
 
     found = cell(frame, method, body)
     if quantity == "returns":
@@ -317,12 +317,12 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries, names = [load_transform(r)[key] for r in found["run_id"]], feature_names(body)
+    rows = transforms.learned(found)
     one, *other = (
-        np.array([entry[[name.startswith(part) for name in names]].mean() for entry in entries])
+        rows[rows["feature"].str.startswith(part)].groupby("run_id", sort=False)[key].mean()
         for part in parts.replace("_", " ").split(" - ")
     )
-    return one - other[0] if other else one
+    return (one - other[0] if other else one).to_numpy(float)
 
 
 find = runs.get

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -156,8 +157,19 @@ def finish(
     ncols: int = 3,
     *,
     warn: bool = False,
+    word: str = "no run",
 ) -> Figure:
-    """Put a legend, read by rows, above a figure and small print under it, in red to warn."""
+    """Put a legend, read by rows, above a figure and small print under it, in red to warn.
+
+    A panel in which nothing is drawn says so by a word, and an empty one has no scale of its own.
+    """
+    for axes in (axes for axes in figure.axes if axes.axison and not _has_data(axes)):
+        if not axes.texts:
+            say(axes, word)
+        shared = axes.get_shared_x_axes(), axes.get_shared_y_axes()
+        for axis, sharing in zip((axes.xaxis, axes.yaxis), shared, strict=True):
+            if not any(map(_drawn, sharing.get_siblings(axes))):
+                axis.set_ticks([])
     if handles:
         by_rows = [h for column in range(ncols) for h in handles[column::ncols]]
         figure.legend(handles=by_rows, loc="outside upper left", ncols=ncols)
@@ -166,6 +178,16 @@ def finish(
         look: dict[str, Any] = {"color": WARNING if warn else MUTED, "linespacing": 1.4}
         figure.supxlabel(lines, x=0.01, ha="left", fontsize=8, **look)
     return figure
+
+
+def _drawn(axes: Axes) -> list[Artist]:
+    return [*axes.lines, *axes.collections, *axes.patches, *axes.images]
+
+
+def _has_data(axes: Axes) -> bool:
+    """Tell whether anything is drawn at data's places: levels and bands alone are nothing."""
+    places = (a.get_transform().contains_branch_seperately(axes.transData) for a in _drawn(axes))
+    return any(map(all, places))
 
 
 def handle(color: str, label: str, **look: Any) -> Line2D:
@@ -180,19 +202,9 @@ def marks(looks: Iterable[MethodStyle]) -> list[Line2D]:
 
 
 def say(axes: Axes, word: str) -> None:
-    """Write a word in the middle of an empty panel, which has no scale then."""
+    """Write a word in the middle of an empty panel."""
     middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
     axes.text(0.5, 0.5, word, color=MUTED, backgroundcolor="white", **middle)
-
-
-def no_scales_without_lines(grid: Any) -> None:
-    """Take the scales off rows and columns of panels, which share them, where nothing is drawn."""
-    for row in grid:
-        if not any(axes.lines for axes in row):
-            row[0].set_yticks([])
-    for column in zip(*grid, strict=True):
-        if not any(axes.lines for axes in column):
-            column[-1].set_xticks([])
 
 
 def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:

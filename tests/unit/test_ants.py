@@ -79,7 +79,7 @@ def test_figure_2d_shows_scores_speeds_and_steps(frame: pd.DataFrame) -> None:
 @synthetic.study("empty")
 def test_without_runs_figure_2d_is_empty_slots(frame: pd.DataFrame) -> None:
     assert texts(scores.normalised_scores(frame)).count("no run") == 7 * (4 + 5 + 5)
-    assert "not run yet" in texts(ants.tracking(frame))
+    assert "no run" in texts(ants.tracking(frame))
 
 
 @synthetic.study("partial")

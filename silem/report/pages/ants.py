@@ -3,7 +3,8 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-import numpy as np
+from itertools import product
+
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -11,7 +12,6 @@ from silem import bodies
 from silem.bodies.body import MAX_STEPS
 from silem.report import results, scores, statistics, style, transforms
 from silem.report.scores import IMITATORS
-from silem.report.transforms import feature_names
 
 _FEWEST_BODIES = 4  # that a rank correlation takes
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
@@ -50,12 +50,10 @@ def correlations(frame: pd.DataFrame) -> pd.DataFrame:
     """
     runs, rows = results.select(frame, ["silem"]), []
     if runs["body"].nunique() >= _FEWEST_BODIES:
-        lengths = [bodies.get(body).length[1] for body in runs["body"]]
-        learned = [results.load_transform(run_id) for run_id in runs["run_id"]]
-        for entry in _ENTRIES:
-            columns = np.array([arrays[entry] for arrays in learned]).T
-            for feature, values in zip(feature_names(runs["body"][0]), columns, strict=True):
-                rows.append((entry, feature, *statistics.rank_correlation(lengths, values)))
+        learned = transforms.learned(runs)
+        for entry, (feature, of_one) in product(_ENTRIES, learned.groupby("feature", sort=False)):
+            lengths = [bodies.get(body).length[1] for body in of_one["body"]]
+            rows.append((entry, feature, *statistics.rank_correlation(lengths, of_one[entry])))
     found = pd.DataFrame(rows, columns=["entry", "feature", "rho", "low", "high"])
     return found.assign(sure=found["low"] * found["high"] > 0)
 
@@ -72,6 +70,4 @@ def tracking(frame: pd.DataFrame) -> Figure:
             color = style.method("silem").color if row.sure else style.MUTED
             axes.plot([row.low, row.high], [place, place], color=color, lw=1.4)
             axes.plot(row.rho, place, "o", color=color, ms=4.5)
-        if found.empty:
-            style.say(axes, "not run yet")
     return scores.finish(figure, runs, note="lines: 95 % intervals; blue: zero is outside")

@@ -172,7 +172,6 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
         axes.set_xlim(0, 1)
         axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
         if found is None:
-            style.say(axes, "no run")
             continue
         episodes = found.demonstrations.features
         cut = np.concatenate([strides(demonstrate.pitch_rad(states)) for states in episodes])
@@ -223,7 +222,7 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
             for method, offset in zip(BOTH, (-0.14, 0.14), strict=True):
                 values = here[here["method"] == method][quantity].dropna().to_numpy()
                 if len(values):
-                    scores.draw_trials(axes, x + offset, values, method)
+                    scores.draw_trials(axes, x + offset, values, style.METHODS[method])
             if row == 1 and x in found:
                 axes.hlines(found[x].speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
         labels = [f"trial {_trial(name)}\n" for name in names]

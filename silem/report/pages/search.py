@@ -79,9 +79,6 @@ def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
             axes.plot([x - 0.25, x + 0.25], [np.mean(scores)] * 2, color=style.INK, lw=1.6)
         axes.set_xticks(range(len(values)), [number(value, None) for value in values])
         axes.set_xlim(-0.6, max(len(values), 1) - 0.4)
-        if not values:
-            style.say(axes, "not run yet")
-            axes.set_yticks([])
     grid[0].set_ylabel("true return")
     grid[0].yaxis.set_major_formatter("{x:,.0f}")
     note = "a dot is the mean over one's trials, a line that of all with the value"
