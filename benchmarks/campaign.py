@@ -26,7 +26,7 @@ import numpy as np
 from silem.report.results import load_records
 from silem.study import work
 from silem.study.config import TRIAL_SEEDS, RunConfig
-from silem.study.record import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, curve_csv, curve_row
+from silem.study.runs import CURVE, POLICY, RECORD, TRANSFORM, RunRecord, curve_csv, curve_row
 from silem.study.settings import BUDGETS
 from silem.study.studies import STUDIES, Cell, Study, study_configs
 from silem.util import files, paths
@@ -99,7 +99,7 @@ def made_up_record(config: RunConfig, folder: Path) -> RunRecord:
         "upright": 1.0, "disc_reward_mean": 400.0,
     }  # fmt: skip
     hashes = {name: files.sha256(folder / name) for name in (CURVE, POLICY, TRANSFORM)}
-    training = {"n_steps": config.budget.n_steps, "steps_per_s": 2400.0, "disc_reward_last": 400.0}
+    training = {"n_steps": config.budget.n_steps, "steps_per_s": 2400.0}
     source = {"git_commit": "0" * 40, "git_dirty": False, "packages": {}}
     return RunRecord(
         config.run_id, "finished", config.to_dict(), evaluation, training, source, "0" * 64, 700.0,

@@ -14,8 +14,9 @@ import numpy as np
 from dm_control import suite
 
 from benchmarks.measurement import Batched, Measurement, Row, Single
+from silem.bodies import MujocoBody, of_kind
 from silem.envs import BatchedEnv, SingleEnv
-from silem.envs.mujoco import Simulation, body_of, stepped_model
+from silem.envs.mujoco import Simulation, stepped_model
 
 PEER = "dm_control humanoid walk"
 N_ENVS = (1, 8, 16)
@@ -36,7 +37,7 @@ class Raw:
 
         Either is without sensors, which nothing reads.
         """
-        self.body = body_of(body)
+        self.body = of_kind(body, MujocoBody)
         self.model = mujoco.MjModel.from_xml_string(self.body.model_xml())
         if is_lean:
             self.model = stepped_model(self.body)
@@ -94,7 +95,7 @@ class DmControl:
         """Make the environment, with no limit of steps."""
         self.env = suite.load("humanoid", "walk", task_kwargs={"time_limit": float("inf")})
         self.env.reset()
-        self._body = body_of(body)
+        self._body = of_kind(body, MujocoBody)
 
     def reset(self, seed: int) -> None:
         """Stand."""
@@ -125,7 +126,7 @@ def measurement(body: str, n_envs: Sequence[int] = N_ENVS) -> Measurement:
     ]
     return Measurement(
         body,
-        body_of(body).action_size,
+        of_kind(body, MujocoBody).action_size,
         [Row("raw mj_step", n, Raw(body, n)) for n in n_envs],
         [Row("silem.make_vec", n, Batched(BatchedEnv(body, n))) for n in n_envs],
         others,

@@ -31,7 +31,7 @@ def small_runs() -> dict[str, str]:
     """Make both runs in a folder of their own; return a hash of each one's state at the end."""
     from silem.study import runs
     from silem.study.config import RunConfig
-    from silem.study.record import CHECKPOINT
+    from silem.study.runs import CHECKPOINT
     from silem.study.settings import Budget
     from silem.util import files, paths
 

@@ -28,10 +28,9 @@ from typing import Any
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import demonstrate as recording
 from silem.study import evaluate, runs, training
 from silem.study.config import RunConfig
-from silem.study.record import CHECKPOINT, RECORD, RunRecord
+from silem.study.runs import CHECKPOINT, RECORD, RunRecord
 from silem.study.settings import BUDGETS, Budget
 from silem.util import files, paths
 
@@ -44,7 +43,7 @@ def work(phase: Phase) -> None:
     """Make everything that is not there yet."""
     expert = runs.run(RunConfig.create("HC0", "ppo", None, "book", 0, **SMALL), progress=False)
     phase.value = PHASES.index("recording demonstrations")
-    recording.demonstrate(expert, 2)
+    evaluate.demonstrate(expert, 2)
     phase.value = 0
     imitator = RunConfig.create("HC0", "silem", None, "book", 0, n_trajectories=2, **SMALL)
     runs.run(imitator, progress=False)
@@ -88,8 +87,6 @@ def outcome() -> dict[str, Any]:
     found: dict[str, Any] = {}
     for path in sorted(paths.data_dir().rglob("*")):
         name = str(path.relative_to(paths.data_dir()))
-        if path == paths.runs_dir() / path.parents[1].name / path.parent.name / RECORD:
-            continue  # a copy of the published one, which alone counts; written last, or not at all
         if path.name == RECORD:
             content = files.read_json(path)
             found[name] = [content[key] for key in ("run_id", "evaluation", "config", "files")]

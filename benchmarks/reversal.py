@@ -29,12 +29,12 @@ from tqdm import tqdm
 from silem import paper
 from silem.algorithms.gaifo import episode_windows
 from silem.algorithms.networks import (
-    AffineTransform,
     Discriminator,
     ThirdPersonDiscriminator,
     cross_entropy,
     discriminator_loss,
 )
+from silem.algorithms.silem import AffineTransform
 from silem.util import files, paths
 
 FILE = paths.REPO / "data" / "search" / "reversal.json"

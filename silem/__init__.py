@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from silem.motion.demonstrations import Demonstrations
     from silem.study.config import RunConfig
     from silem.study.evaluate import evaluate
-    from silem.study.record import RunRecord
-    from silem.study.runs import run
+    from silem.study.runs import RunRecord, run
     from silem.study.training import settings
     from silem.util.errors import SilemError
 
@@ -45,8 +44,7 @@ _HOMES = {
     "silem.motion.demonstrations": ("Demonstrations",),
     "silem.study.config": ("RunConfig",),
     "silem.study.evaluate": ("evaluate",),
-    "silem.study.record": ("RunRecord",),
-    "silem.study.runs": ("run",),
+    "silem.study.runs": ("RunRecord", "run"),
     "silem.study.training": ("settings",),
     "silem.util.errors": ("SilemError",),
 }

@@ -20,7 +20,7 @@ import silem
 from silem import bodies
 from silem.study import runs, studies, verify
 from silem.study.config import RunConfig
-from silem.study.record import POLICY, RECORD, RunRecord
+from silem.study.runs import POLICY, RECORD, RunRecord
 from silem.study.settings import BUDGETS, METHODS, Budget, HyperParameters, budget_named
 from silem.util import files
 from silem.util.errors import LARGEST, SilemError, choose, clipped
@@ -364,7 +364,7 @@ def _status(options: argparse.Namespace) -> None:
 @_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)
 def _show(options: argparse.Namespace) -> None:
     """Every value of a run, and where it comes from."""
-    config = runs.get(options.run_id).run_config() if options.run_id else config_of(options)
+    config = runs.get(options.run_id).run_config if options.run_id else config_of(options)
     print(config.describe())
 
 
@@ -375,7 +375,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from silem.study.evaluate import evaluate, load_policy
     from silem.study.training import task_options
 
-    config = record.run_config()
+    config = record.run_config
     policy, task, progress = load_policy(record), task_options(config), not options.quiet
     result = evaluate(policy, config.learner, options.episodes, progress=progress, **task)
     _print_evaluation(record.run_id, result._asdict())
@@ -391,19 +391,20 @@ def _evaluate(options: argparse.Namespace) -> None:
 )
 def _demonstrations(options: argparse.Namespace) -> None:
     """Record an expert's demonstrations."""
-    from silem.study import demonstrate
-
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
     name = None
     if options.run:
         record = runs.get(options.run)
     else:
-        record = demonstrate.demonstrator(options.body, options.budget, options.trial)
-        name = None if options.trial is None else demonstrate.trial_name(record)
+        experts = studies.experts(options.body, options.budget, options.trial)
+        record = runs.demonstrator(experts)
+        name = None if options.trial is None else f"{options.body}_s{options.trial}"
+    from silem.study import evaluate
+
     how = {"name": name, "force": options.force, "progress": not options.quiet}
-    path = demonstrate.demonstrate(record, options.trajectories, **how)
-    print(f"{path}: {demonstrate.describe(path.stem)}")
+    path = evaluate.demonstrate(record, options.trajectories, **how)
+    print(f"{path}: {evaluate.describe(path.stem)}")
 
 
 @_takes(
@@ -421,7 +422,7 @@ def _render(options: argparse.Namespace) -> None:
         raise SilemError(f"films need {error.name}: pip install 'silem[video]'") from error
     from silem.study.evaluate import load_policy
 
-    learner, policy = record.run_config().learner, load_policy(record)
+    learner, policy = record.run_config.learner, load_policy(record)
     shown = {"duration_s": options.seconds, "seed": options.seed, "progress": not options.quiet}
     film.write(options.out, film.rollout(learner, policy, **shown))
     print(options.out)

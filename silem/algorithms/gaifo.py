@@ -307,10 +307,6 @@ class GAIfO(PPO):
 
 def episode_windows(features: np.ndarray, window: int) -> np.ndarray:
     """Cut an episode's features (T + 1, F), T >= 1, into windows (T, W, F); row t ends at t + 1."""
-    if window < 1:
-        raise SilemError(f"window must be at least 1 state, got {window}")
-    if features.ndim != 2 or len(features) < 2:
-        raise SilemError(f"an episode needs (T + 1, F) features, T >= 1; got {features.shape}")
     last = np.arange(1, len(features))
     states = last[:, None] + np.arange(1 - window, 1)[None, :]
     return features[np.maximum(states, 0)]

@@ -1,4 +1,4 @@
-"""What learns beside policy and value function: discriminators, transforms, observation moments."""
+"""What learns beside policy and value function: discriminators, and the observations' moments."""
 
 from collections.abc import Sequence
 
@@ -11,16 +11,12 @@ from torch.nn import functional as F
 
 from silem.util.errors import SilemError
 
-L2_FORMS = ("deviation", "plain")
-MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
-STILL = 1e-3  # a feature of the expert's that deviates less tells no gate anything
-GATE_SPREAD = 2.0  # two maps then differ by e^2.8 in their weights, one deviation from the mean
 CLIP = 5.0  # standard deviations that a normalised observation is cut at, ppo1's value
 _EPSILON = 1e-8
 
 
-def _tanh_mlp(n_inputs: int, hidden: Sequence[int], n_outputs: int = 1) -> list[nn.Module]:
-    return create_mlp(n_inputs, n_outputs, list(hidden), nn.Tanh)
+def _tanh_mlp(n_inputs: int, hidden: Sequence[int]) -> list[nn.Module]:
+    return create_mlp(n_inputs, 1, list(hidden), nn.Tanh)
 
 
 class Discriminator(nn.Module):
@@ -147,99 +143,7 @@ class ThirdPersonDiscriminator(nn.Module):
         return self.domain_head(reverse_gradient(self.encoder(states), self.reversal_coef))[:, 0]
 
 
-class AffineTransform(nn.Module):
-    """f(g(s)) = A g(s) + b on F features, with diagonal A; starts as the identity."""
-
-    def __init__(self, n_features: int) -> None:
-        super().__init__()
-        self.scale = nn.Parameter(th.ones(n_features))
-        self.offset = nn.Parameter(th.zeros(n_features))
-
-    def forward(self, features: th.Tensor) -> th.Tensor:
-        """Transform features (..., F) state by state."""
-        return features * self.scale + self.offset
-
-    def mean(self) -> dict[str, np.ndarray]:
-        """Return A's diagonal and b, (F,) each; of several maps the mean that `weigh` noted."""
-        found = {"A": self._one(self.scale), "b": self._one(self.offset)}
-        return {name: values.detach().cpu().numpy() for name, values in found.items()}
-
-    def _one(self, values: th.Tensor) -> th.Tensor:
-        return values
-
-
-class AffineEnsemble(AffineTransform):
-    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w = softmax of a linear gate on g.
-
-    All maps start as the identity, and so does f, whatever the gate says. What lets them part is
-    the gate's first weights, random and large enough to choose: over the expert's states (N, F) a
-    logit has deviation `GATE_SPREAD` around 0, so each map counts in other states, and follows
-    another gradient. Maps that count alike everywhere would stay alike: of a gradient Adam follows
-    the sign. The gate learns once they differ; between equal maps its choice changes nothing.
-    """
-
-    shares: th.Tensor
-
-    def __init__(self, n_components: int, states: th.Tensor) -> None:
-        deviation, n_features = states.std(dim=0), states.shape[1]
-        super().__init__(n_features)
-        for name in ("scale", "offset"):
-            start = getattr(self, name).detach()
-            setattr(self, name, nn.Parameter(start.repeat(n_components, 1)))
-        self.gate = nn.Linear(n_features, n_components)
-        moves = deviation > STILL
-        spread = GATE_SPREAD / moves.sum().sqrt() / deviation
-        with th.no_grad():
-            self.gate.weight.normal_().mul_(spread.where(moves, 0.0))
-            self.gate.bias.copy_(-self.gate.weight @ states.mean(dim=0))
-        self.shares = nn.Buffer(th.full((n_components,), 1.0 / n_components))
-
-    def forward(self, features: th.Tensor) -> th.Tensor:
-        """Transform features (..., F) state by state."""
-        weights = self.weights(features)
-        return features * (weights @ self.scale) + weights @ self.offset
-
-    def weights(self, features: th.Tensor) -> th.Tensor:
-        """Return w (..., K) in states (..., F)."""
-        return th.softmax(self.gate(features), dim=-1)
-
-    def weigh(self, features: th.Tensor) -> None:
-        """Note the gate's mean weights over states (..., F)."""
-        with th.no_grad():
-            self.shares.copy_(self.weights(features).flatten(0, -2).mean(0))
-
-    def _one(self, values: th.Tensor) -> th.Tensor:
-        return self.shares @ values
-
-
-class MLPTransform(nn.Sequential):
-    """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
-
-    def __init__(self, n_features: int) -> None:
-        super().__init__(*_tanh_mlp(n_features, [MLP_HIDDEN_UNITS], n_features))
-
-
-TRANSFORMS = {"affine": AffineTransform, "mlp": MLPTransform}
-"""f of the sequential transform by name: one function, applied to every state of a window."""
-
-
-def l2_penalty(
-    transform: AffineTransform, scale_coef: float, offset_coef: float, form: str = "deviation"
-) -> th.Tensor:
-    """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
-
-    The supplement names the coefficients and not the form. "deviation" measures A from one: the
-    identity, which says that the two bodies are alike, is what a transform should fall back to
-    where D asks for nothing. The "plain" norm pulls A to 0, hence every feature to a constant that
-    tells nothing. Both are means over the features, of an ensemble over all its maps' too, so that
-    a coefficient weighs the same beside the loss of line 10 whatever F and K are.
-    """
-    rest = 1.0 if form == "deviation" else 0.0
-    scale_term = (transform.scale - rest).square().mean()
-    return scale_coef * scale_term + offset_coef * transform.offset.square().mean()
-
-
-class RunningNormalizer(BaseFeaturesExtractor):
+class RunningNormalizer(BaseFeaturesExtractor):  # its place is named in files that `save` wrote
     """Centre and scale flat observations by the moments of everything seen so far, as in ppo1.
 
     Being part of the policy, the moments are saved, loaded and used by ``predict`` with it. They

@@ -5,18 +5,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch as th
+from stable_baselines3.common.torch_layers import create_mlp
+from torch import nn
 from torch.nn import functional as F
 
 from silem.algorithms.gaifo import GAIfO, descend
-from silem.algorithms.networks import (
-    L2_FORMS,
-    TRANSFORMS,
-    AffineEnsemble,
-    AffineTransform,
-    l2_penalty,
-)
 from silem.motion.demonstrations import Demonstrations
 from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
+
+L2_FORMS = ("deviation", "plain")
+MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
+STILL = 1e-3  # a feature of the expert's that deviates less tells no gate anything
+GATE_SPREAD = 2.0  # two maps then differ by e^2.8 in their weights, one deviation from the mean
 
 
 class SILEM(GAIfO):
@@ -122,7 +122,7 @@ class SILEM(GAIfO):
         super()._setup_model()
         size, count = self.demonstrations.n_features, self.transform_components
         if count == 1:
-            transform: th.nn.Module = TRANSFORMS[self.transform](size)
+            transform: nn.Module = TRANSFORMS[self.transform](size)
         else:
             transform = AffineEnsemble(
                 count, th.from_numpy(np.concatenate(self.demonstrations.features))
@@ -137,3 +137,98 @@ class SILEM(GAIfO):
             for name, values in (("scale", mean["A"]), ("offset", mean["b"])):
                 for i, entry in enumerate(values.tolist()):
                     self.logger.record(f"transform/{name}_{i}", entry, exclude="stdout")
+
+
+# ---------------------------------------------------------------- transforms
+
+
+class AffineTransform(nn.Module):
+    """f(g(s)) = A g(s) + b on F features, with diagonal A; starts as the identity."""
+
+    def __init__(self, n_features: int) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(th.ones(n_features))
+        self.offset = nn.Parameter(th.zeros(n_features))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Transform features (..., F) state by state."""
+        return features * self.scale + self.offset
+
+    def mean(self) -> dict[str, np.ndarray]:
+        """Return A's diagonal and b, (F,) each; of several maps the mean that `weigh` noted."""
+        found = {"A": self._one(self.scale), "b": self._one(self.offset)}
+        return {name: values.detach().cpu().numpy() for name, values in found.items()}
+
+    def _one(self, values: th.Tensor) -> th.Tensor:
+        return values
+
+
+class AffineEnsemble(AffineTransform):
+    """K affine maps: f(g) = sum over k of w_k(g) (A_k g + b_k), w = softmax of a linear gate on g.
+
+    All maps start as the identity, and so does f, whatever the gate says. What lets them part is
+    the gate's first weights, random and large enough to choose: over the expert's states (N, F) a
+    logit has deviation `GATE_SPREAD` around 0, so each map counts in other states, and follows
+    another gradient. Maps that count alike everywhere would stay alike: of a gradient Adam follows
+    the sign. The gate learns once they differ; between equal maps its choice changes nothing.
+    """
+
+    shares: th.Tensor
+
+    def __init__(self, n_components: int, states: th.Tensor) -> None:
+        deviation, n_features = states.std(dim=0), states.shape[1]
+        super().__init__(n_features)
+        for name in ("scale", "offset"):
+            start = getattr(self, name).detach()
+            setattr(self, name, nn.Parameter(start.repeat(n_components, 1)))
+        self.gate = nn.Linear(n_features, n_components)
+        moves = deviation > STILL
+        spread = GATE_SPREAD / moves.sum().sqrt() / deviation
+        with th.no_grad():
+            self.gate.weight.normal_().mul_(spread.where(moves, 0.0))
+            self.gate.bias.copy_(-self.gate.weight @ states.mean(dim=0))
+        self.shares = nn.Buffer(th.full((n_components,), 1.0 / n_components))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """Transform features (..., F) state by state."""
+        weights = self.weights(features)
+        return features * (weights @ self.scale) + weights @ self.offset
+
+    def weights(self, features: th.Tensor) -> th.Tensor:
+        """Return w (..., K) in states (..., F)."""
+        return th.softmax(self.gate(features), dim=-1)
+
+    def weigh(self, features: th.Tensor) -> None:
+        """Note the gate's mean weights over states (..., F)."""
+        with th.no_grad():
+            self.shares.copy_(self.weights(features).flatten(0, -2).mean(0))
+
+    def _one(self, values: th.Tensor) -> th.Tensor:
+        return self.shares @ values
+
+
+class MLPTransform(nn.Sequential):
+    """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
+
+    def __init__(self, n_features: int) -> None:
+        super().__init__(*create_mlp(n_features, n_features, [MLP_HIDDEN_UNITS], nn.Tanh))
+
+
+TRANSFORMS = {"affine": AffineTransform, "mlp": MLPTransform}
+"""f of the sequential transform by name: one function, applied to every state of a window."""
+
+
+def l2_penalty(
+    transform: AffineTransform, scale_coef: float, offset_coef: float, form: str = "deviation"
+) -> th.Tensor:
+    """Return the supplement's L2 term on the affine transform, ``w_d |A|^2 + w_b |b|^2``.
+
+    The supplement names the coefficients and not the form. "deviation" measures A from one: the
+    identity, which says that the two bodies are alike, is what a transform should fall back to
+    where D asks for nothing. The "plain" norm pulls A to 0, hence every feature to a constant that
+    tells nothing. Both are means over the features, of an ensemble over all its maps' too, so that
+    a coefficient weighs the same beside the loss of line 10 whatever F and K are.
+    """
+    rest = 1.0 if form == "deviation" else 0.0
+    scale_term = (transform.scale - rest).square().mean()
+    return scale_coef * scale_term + offset_coef * transform.offset.square().mean()

@@ -11,9 +11,9 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from types import ModuleType
+from typing import Any, TypeVar
 
 import gymnasium
 
@@ -23,7 +23,6 @@ from silem.bodies.body import (
     AliveRule,
     Body,
     BulletBody,
-    Engine,
     GymnasiumBody,
     Motor,
     MujocoBody,
@@ -34,49 +33,33 @@ from silem.bodies.body import (
 from silem.util.errors import SilemError, check_name, choose
 
 __all__ = [
-    "AliveRule", "Body", "BulletBody", "Entry", "GymnasiumBody", "Motor", "MujocoBody", "Part",
+    "AliveRule", "Body", "BulletBody", "GymnasiumBody", "Motor", "MujocoBody", "Part",
     "Skeleton", "View", "describe", "exists", "get", "identity", "load", "load_installed",
-    "module_of", "names", "of_kind", "register",
+    "names", "of_kind", "register",
 ]  # fmt: skip
 
 Kind = TypeVar("Kind", bound=Body)
 
 
-class Entry(NamedTuple):
-    """A body that nobody has asked for yet: what is known of it, and what builds it."""
-
-    name: str
-    family: str
-    engine: Engine
-    make: Callable[[], Body]
-    max_steps: int = MAX_STEPS
-
-
-_BODIES: dict[str, Body | Entry] = {}
 _FAMILIES = (half_cheetah, ant, humanoid)
 _NUMBER, _SLOPE, STEEPEST_DEG = r"(\d+(?:\.\d+)?)", "-slope-", 45.0
+_BODIES: dict[str, Body | ModuleType] = {}  # of one that nobody has asked for yet, its family's
 _OWN: dict[str, str] = {}  # of those registered, the module that `load` was loading, or ""
 _loading = ""
 
 
-def _add(body: Body | Entry) -> None:
-    """Put a body into the registry, and give it its Gymnasium id unless it is Gymnasium's own."""
-    _BODIES[body.name] = body
-    if body.engine == "gymnasium":
-        return
-    key = f"silem/{body.name}-v0"
+def _add(name: str, body: Body | ModuleType, max_steps: int = MAX_STEPS) -> None:
+    """Put a body into the registry, and give it its Gymnasium id."""
+    _BODIES[name] = body
+    key = f"silem/{name}-v0"
     gymnasium.registry.pop(key, None)  # a body's that this one replaces
-    gymnasium.register(
-        key,
-        entry_point="silem.envs.base:SingleEnv",
-        max_episode_steps=body.max_steps,
-        kwargs={"body": body.name},
-    )
+    entry_point = "silem.envs.base:SingleEnv"
+    gymnasium.register(key, entry_point, max_episode_steps=max_steps, kwargs={"body": name})
 
 
 for _family in _FAMILIES:
-    for _name, _make in _family.BODIES.items():
-        _add(Entry(_name, _family.FAMILY, _family.ENGINE, _make))
+    for _name in _family.BODIES:
+        _add(_name, _family)
 
 
 def register(body: Body, replace: bool = False) -> Body:
@@ -94,7 +77,7 @@ def register(body: Body, replace: bool = False) -> Body:
                 " in its place"
             )
         return known
-    _add(body)
+    _add(body.name, body, body.max_steps)
     _described.cache_clear()  # what stood on a slope may be another body now
     _OWN[body.name] = _loading
     return body
@@ -120,8 +103,8 @@ def get(name: str) -> Body:
         return described
     patterns = [pattern for family in _FAMILIES for pattern in family.NAMED]
     found = _BODIES[choose("body", name, [*_BODIES, *patterns, f"BODY{_SLOPE}#"])]
-    if isinstance(found, Entry):
-        found = _BODIES[name] = found.make()
+    if isinstance(found, ModuleType):
+        found = _BODIES[name] = found.BODIES[name]()
     return found
 
 
@@ -163,9 +146,10 @@ def of_kind(body: Body | str, kind: type[Kind]) -> Kind:
 
 def names(family: str | None = None) -> list[str]:
     """Return the names of all bodies, or of a known family's, in the paper's order."""
+    known = {n: b.family if isinstance(b, Body) else b.FAMILY for n, b in _BODIES.items()}
     if family is not None:
-        choose("family", family, dict.fromkeys(body.family for body in _BODIES.values()))
-    return [name for name, body in _BODIES.items() if family in (None, body.family)]
+        choose("family", family, dict.fromkeys(known.values()))
+    return [name for name in known if family in (None, known[name])]
 
 
 def describe(body: Body | str) -> dict[str, Any]:
@@ -234,8 +218,3 @@ def identity(name: str) -> dict[str, str] | None:
         del told["slope_deg"]  # so that bodies on flat floors are what they were
     digest = hashlib.sha256(f"{told}\n{body.model_xml()}".encode()).hexdigest()
     return {"module": _OWN[name], "sha256": digest}
-
-
-def module_of(name: str) -> str:
-    """Return the module whose `load` registered a body, or ""."""
-    return _OWN.get(name, "")

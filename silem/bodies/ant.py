@@ -2,10 +2,9 @@
 
 from functools import partial
 
-from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
+from silem.bodies.body import AliveRule, BulletBody, Motor, Part, View, pybullet_model
 
 FAMILY = "ant"
-ENGINE: Engine = "bullet"
 
 LINK_OFFSETS = {f"Ant{i}": round(0.20 + 0.05 * i, 2) for i in range(7)}
 

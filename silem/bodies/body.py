@@ -223,29 +223,37 @@ class GymnasiumBody(Body):
         return int(space.shape[0])
 
 
-# ---------------------------------------------------------------- PyBullet's model files
+# ---------------------------------------------------------------- model files
 
 
-def pybullet_model(file: str, edits: Mapping[tuple[str, str, str], Sequence[float]]) -> str:
-    """Return PyBullet's own `pybullet_data/mjcf/<file>` with some attributes replaced.
+Edits = Mapping[tuple[str, str, str], Sequence[float]]
+"""Numbers by tag and name of the one element `<tag name="name">`, and attribute."""
 
-    `edits` are numbers by tag and name of the one element `<tag name="name">`, and attribute. The
-    rest of the text stays as it is, byte for byte: bodies of a family differ where they are meant
-    to. Raises SilemError unless there is the file, one such element, and the attribute.
-    """
+
+def pybullet_model(file: str, edits: Edits) -> str:
+    """Return PyBullet's own `pybullet_data/mjcf/<file>`, `edited`; SilemError if there is none."""
     try:
         xml = (files("pybullet_data") / "mjcf" / file).read_bytes().decode("utf-8")
     except OSError as error:
         raise SilemError(f"pybullet_data has no model {file!r} ({error})") from error
+    return edited(xml, edits)
+
+
+def edited(xml: str, edits: Edits) -> str:
+    """Return a model's text with some attributes replaced.
+
+    The rest of it stays as it is, byte for byte: bodies of a family differ where they are meant to.
+    Raises SilemError unless there is one such element, and the attribute.
+    """
     for (tag, name, attribute), values in edits.items():
         elements = [e for e in re.findall(rf"<{tag}\b[^>]*>", xml) if f' name="{name}"' in e]
         if len(elements) != 1:
-            raise SilemError(f"{len(elements)} elements <{tag} name={name!r}> in {file}, not one")
+            raise SilemError(f"{len(elements)} elements <{tag} name={name!r}>, not one")
         replaced = rf'\g<1>{numbers(*values)}"'
-        edited, count = re.subn(rf'(\s{attribute}=")[^"]*"', replaced, elements[0])
+        changed, count = re.subn(rf'(\s{attribute}=")[^"]*"', replaced, elements[0])
         if count != 1:
             raise SilemError(f"<{tag} name={name!r}> has no attribute {attribute!r}")
-        xml = xml.replace(elements[0], edited)
+        xml = xml.replace(elements[0], changed)
     return xml
 
 

@@ -2,10 +2,9 @@
 
 from functools import partial
 
-from silem.bodies.body import AliveRule, BulletBody, Engine, Motor, Part, View, pybullet_model
+from silem.bodies.body import AliveRule, BulletBody, Motor, Part, View, pybullet_model
 
 FAMILY = "halfcheetah"
-ENGINE: Engine = "bullet"
 
 TORSO_LENGTHS_M = {"HC0": 1.0, "HC1": 2.0, "HC2": 3.0}
 

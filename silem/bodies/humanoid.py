@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from silem.bodies.body import Engine, Motor, MujocoBody, Skeleton, View, numbers
+from silem.bodies.body import Motor, MujocoBody, Skeleton, View, numbers
 from silem.util.errors import SilemError
 
 if TYPE_CHECKING:
     import mujoco
 
 FAMILY = "humanoid"
-ENGINE: Engine = "mujoco"
 
 ARM_FACTORS = {"left": 0.5, "right": 1.5}
 """HumanoidR's arm lengths as multiples of Humanoid's. The paper says "elongating Humanoid's right
@@ -71,12 +70,7 @@ def body(name: str, description: str, arms: dict[str, float]) -> MujocoBody:
     build = partial(model, arms["left"], arms["right"])
     compiled = mujoco.MjModel.from_xml_string(build())
     scaled = [side for side, factor in arms.items() if factor != 1.0]
-    pose = compiled.qpos0.copy()
-    data = placed(compiled, pose)
-    feet = [compiled.body(index).name.endswith("_foot") for index in compiled.geom_bodyid]
-    radius, half_length = compiled.geom_size[feet, :2].T
-    lowest = data.geom_xpos[feet, 2] - abs(data.geom_xmat[feet, 8]) * half_length - radius
-    pose[2] -= lowest.min()  # of the feet's capsules
+    pose = on_floor(compiled, compiled.qpos0)
     return MujocoBody(
         name=name,
         description=description,
@@ -123,6 +117,17 @@ def placed(compiled: "mujoco.MjModel", qpos: np.ndarray) -> "mujoco.MjData":
     data.qpos[:] = qpos
     mujoco.mj_kinematics(compiled, data)
     return data
+
+
+def on_floor(compiled: "mujoco.MjModel", qpos: np.ndarray) -> np.ndarray:
+    """Return a pose lowered or lifted until the feet's capsules or spheres touch the floor."""
+    data, pose = placed(compiled, qpos), qpos.copy()
+    of_feet = [compiled.body(index).name.endswith("_foot") for index in compiled.geom_bodyid]
+    feet = compiled.geom_contype.astype(bool) & of_feet
+    radius, half_length = compiled.geom_size[feet, :2].T
+    lowest = data.geom_xpos[feet, 2] - abs(data.geom_xmat[feet, 8]) * half_length - radius
+    pose[2] -= lowest.min()
+    return pose
 
 
 def common(

@@ -4,6 +4,7 @@ A simulator is a module of this package with a `Simulation`: E bodies and the ta
 The rest is here: arguments, seeds, episodes and what is told of them, pictures, what is refused.
 """
 
+import functools
 import importlib
 import math
 import time
@@ -14,7 +15,7 @@ from typing import Any, SupportsFloat
 import gymnasium
 import numpy as np
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from silem import bodies
@@ -31,6 +32,38 @@ INFO_KEY = "skeletal_features"
 Infos = list[dict[str, Any]]
 Generators = Sequence[np.random.Generator]
 Stepped = tuple[np.ndarray, np.ndarray, np.ndarray, Infos]
+
+
+def make_vec(
+    body: Body | str, n_envs: int = 4, seed: int = 0, max_steps: int | None = None, **options: Any
+) -> VecEnv:
+    """Make E environments with the same body, stepped as one.
+
+    Args:
+        body: A body or its name, for example "HC2", or the id of a Gymnasium environment.
+        n_envs: E, at least 1.
+        seed: Root of all environments' random streams.
+        max_steps: Steps after which an episode is cut off; None means the body's.
+        **options: A Gymnasium environment's own, or a humanoid's: `n_threads` that step it
+            (results do not depend on them), `speed_m_s` that earns the full reward (None means
+            the body's), as `starts` states that episodes start from, positions (S, nq) and
+            velocities (S, nv) (None means the standing pose, small noise), and as `bodies` E
+            humanoids of other lengths, one for each environment in the place of `body`.
+
+    Raises SilemError if an argument is not allowed; the message says what is.
+    """
+    found = bodies.get(body) if isinstance(body, str) else body
+    if found.engine != "gymnasium":
+        return BatchedEnv(found, n_envs, seed, max_steps, **options)
+    COUNT.check("n_envs", n_envs)
+    limit = found.max_steps if max_steps is None else max_steps
+    make = functools.partial(gymnasium.make, found.name, max_episode_steps=limit, **options)
+    try:
+        env = DummyVecEnv([lambda: Monitor(make()) for _ in range(n_envs)])
+    except (gymnasium.error.Error, TypeError, ImportError) as error:
+        raise SilemError(f"{found.name} cannot be made: {error}") from error
+    env.seed(seed)
+    return env
 
 
 class Simulation(ABC):

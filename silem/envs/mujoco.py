@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from silem import bodies
-from silem.bodies import Body, MujocoBody
+from silem.bodies import MujocoBody
 from silem.envs import base
 from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
 from silem.util.errors import COUNT, RATE, SilemError
@@ -34,11 +33,6 @@ _OBSERVED = np.array([[feature.name for feature in FEATURES].index(name) for nam
 
 # what MuJoCo counts when it starts a state anew: of positions, velocities or accelerations
 _FAILURES = slice(mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQACC + 1)
-
-
-def body_of(body: Body | str) -> MujocoBody:
-    """Return a body, given itself or its name; raises SilemError where MuJoCo does not step it."""
-    return bodies.of_kind(body, MujocoBody)
 
 
 class Reading(NamedTuple):

@@ -44,31 +44,25 @@ _CMUS = {"angle": ["deg"], "order": ["tx", "ty", "tz", "rx", "ry", "rz"], "axis"
 def mocap_file(name: str) -> Path:
     """Return a file of the database: from ``$SILEM_MOCAP_DIR`` if set, else from the own cache.
 
-    What the cache lacks is downloaded from CMU's server. Either way the content is checked; what is
-    not CMU's is kept aside in the cache, under the same name and ".mismatch". Raises SilemError:
-    the name is unknown, the file is not in that folder, cannot be downloaded, or has not the
-    SHA-256 expected.
+    What the cache lacks is downloaded from CMU's server. Raises SilemError: the name is unknown,
+    the file is not in that folder, cannot be downloaded, or has not the SHA-256 expected.
     """
     choose("motion capture file", name, SHA256)
     own = os.environ.get(ENV)
     path = (Path(own).expanduser() if own else paths.data_dir() / "mocap") / name
-    cached, kept = path.is_file(), ""
+    cached = path.is_file()
     if own and not cached:
         raise SilemError(f"{path} is missing; {ENV} must hold it, or be unset to download it")
     content = path.read_bytes() if cached else _download(name, path)
     found = hashlib.sha256(content.replace(b"\r\n", b"\n")).hexdigest()
-    if found == SHA256[name]:
-        if not cached:
-            files.write_bytes(path, content)
-        return path
-    if not own:
-        kept = f"; it is kept as {path}.mismatch"
-        files.write_bytes(path.with_name(f"{path.name}.mismatch"), content)
-        path.unlink(missing_ok=True)
-    raise SilemError(
-        f"{path} is not CMU's {name} (SHA-256 with LF line ends): found {found},"
-        f" expected {SHA256[name]}{kept}"
-    )
+    if found != SHA256[name]:
+        raise SilemError(
+            f"{path if cached else URL + name} is not CMU's {name} (SHA-256 with LF line ends):"
+            f" found {found}, expected {SHA256[name]}"
+        )
+    if not cached:
+        files.write_bytes(path, content)
+    return path
 
 
 def _download(name: str, path: Path) -> bytes:
@@ -174,12 +168,12 @@ def read_asf(path: Path | str) -> AsfSkeleton:
     """Read a skeleton, an ASF file.
 
     Raises SilemError: the file is missing or truncated; it is not in degrees, or its root is not as
-    CMU's; or a bone is without name, there twice, or not in the hierarchy.
+    CMU's; or a bone is without name, or there twice.
     """
     path = Path(path)
     _, *found = _blocks(_lines(path), lambda word: word.startswith(":"))
     sections = {block[0].words[0]: block[1:] for block in found}
-    for name in (":root", ":bonedata", ":hierarchy"):
+    for name in (":root", ":bonedata", ":hierarchy"):  # the last tells that the bones are whole
         if not sections.get(name):
             raise SilemError(f"{path} has no section {name}: it is truncated or no ASF file")
     for line in sections.get(":units", []) + sections[":root"]:
@@ -196,13 +190,6 @@ def read_asf(path: Path | str) -> AsfSkeleton:
         if more or not name or name in bones:
             raise line.error(f"a bone needs one name of its own, not {' '.join(line.words[1:])!r}")
         bones[name] = _bone(name, block)
-    lines, end = sections[":hierarchy"][1:-1], sections[":hierarchy"][-1]
-    if sections[":hierarchy"][0].words != ["begin"] or end.words != ["end"]:
-        raise end.error("the hierarchy is not from 'begin' to 'end': it is truncated")
-    carrying, hanging = {n.words[0] for n in lines}, {bone for n in lines for bone in n.words[1:]}
-    if differing := carrying - {ROOT, *bones} | hanging ^ bones.keys():
-        names = ", ".join(sorted(differing))
-        raise end.error(f"not both described and in the hierarchy: {names}")
     return AsfSkeleton(path, bones)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from silem import bodies
 from silem.util import files, paths
-from silem.util.errors import SilemError, check_name, choose, reason
+from silem.util.errors import NUMBER, SilemError, check_name, choose, reason
 
 MANIFEST = "manifest.json"
 _OWN = ("features", "lengths", "returns", "body", "expert_run_id")  # arrays of every file
@@ -31,11 +31,10 @@ class Demonstrations:
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.features:
-            raise SilemError("demonstrations are empty; at least one trajectory is needed")
         shapes = {np.shape(array)[1:] for array in self.features}
-        if len(shapes) != 1 or len(shape := next(iter(shapes))) != 1 or not shape[0]:
-            raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {shapes}")
+        if [*map(len, shapes)] != [1] or shapes == {(0,)}:
+            found = shapes or "none at all"
+            raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {found}")
         for i, array in enumerate(self.features):
             if array.dtype.kind != "f":
                 raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
@@ -45,6 +44,8 @@ class Demonstrations:
                 raise SilemError(f"trajectory {i} holds NaN or infinity")
         if len(self.returns) not in (0, len(self.features)):
             raise SilemError(f"{len(self.returns)} returns of {len(self.features)} trajectories")
+        for number in self.returns:
+            NUMBER.check("each of the returns", number)
         n_states = sum(map(len, self.features))
         for name, array in self.extra.items():
             if name in _OWN or array.shape[:1] != (n_states,):
@@ -112,16 +113,14 @@ class Demonstrations:
             if missing := set(_OWN) - arrays.keys():
                 raise SilemError(f"it is no demonstrations file: it lacks {sorted(missing)}")
             features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
-            whole = features.ndim == 2 and lengths.ndim == 1 and lengths.dtype.kind == "i"
-            # sums of Python's integers cannot overflow
-            if not whole or min(lengths, default=0) < 1 or sum(lengths.tolist()) != len(features):
+            whole = features.ndim == 2 and lengths.dtype.kind == "i"
+            parts = np.split(_float32(features), np.cumsum(lengths)[:-1]) if whole else []
+            if not whole or [*map(len, parts)] != lengths.tolist():
                 raise SilemError("it is damaged: trajectory lengths do not add up")
-            if returns.ndim != 1 or returns.dtype.kind != "f" or not np.isfinite(returns).all():
-                raise SilemError("it is damaged: its returns are no numbers")
-            if {body.shape, run_id.shape} != {()} or {body.dtype.kind, run_id.dtype.kind} != {"U"}:
+            if not all(isinstance(text.tolist(), str) for text in (body, run_id)):
                 raise SilemError("it is damaged: its body or its expert's run is no text")
-            parts = np.split(_float32(features), np.cumsum(lengths)[:-1])
-            return cls(tuple(parts), tuple(returns.tolist()), str(body), str(run_id), arrays)
+            worth = tuple(returns.ravel().tolist())
+            return cls(tuple(parts), worth, str(body), str(run_id), arrays)
         except SilemError as error:
             raise SilemError(f"{path.name}: {error}") from error
 
@@ -197,8 +196,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
             " it again, with `silem demonstrations` or `silem mocap`"
         )
     there = Demonstrations.load(name)
-    about = manifest().get(path.stem, {"body": there.body})
-    if there.body != about.get("body") or (bodies.exists(path.stem) and there.body != path.stem):
+    if bodies.exists(path.stem) and there.body != path.stem:
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)
 
@@ -234,14 +232,3 @@ def publish(
     }
     files.write_json(path.parent / MANIFEST, dict(sorted(content.items())))
     return path
-
-
-def captured_speed_m_s(name: str) -> float | None:
-    """Return the mean speed of the man whose motion was captured, None where there was none.
-
-    A retargeted motion itself is slower on shorter legs.
-    """
-    if (about := manifest().get(name)) is None:
-        return None  # a person's own file
-    captured = entry(about.get("retargeted_from", name))
-    return captured["speed_m_s"] if "capture_rate_hz" in captured else None

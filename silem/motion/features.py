@@ -68,14 +68,6 @@ class Landmarks:
         columns = ["xyz".index(axis) for axis in skeleton.axes]
         self._rows = np.arange(9).reshape(3, 3).T[columns]  # of a torso frame's nine numbers
 
-    def points(self, data: mujoco.MjData) -> np.ndarray:
-        """Return the landmarks' positions in the world in m, (P, 3)."""
-        return data.xpos[self.ids]
-
-    def torso_axes(self, data: mujoco.MjData) -> np.ndarray:
-        """Return the directions forward, left and up of the torso in the world, as rows (3, 3)."""
-        return self.oriented(data.xmat[self.torso])
-
     def oriented(self, matrices: np.ndarray) -> np.ndarray:
         """Return torso frames (..., 9), as MuJoCo has them, as rows, forward first, (..., 3, 3)."""
         return matrices.take(self._rows, -1)
@@ -110,17 +102,3 @@ def skeletal_features(
         (com_velocity[..., None, :] @ rows)[..., 0, :],
     )
     return np.concatenate(parts, axis=-1, dtype=np.float32)
-
-
-def read(
-    model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `skeletal_features` takes of one state, whose velocities must be up to date."""
-    mujoco.mj_subtreeVel(model, data)
-    velocity = data.subtree_linvel[landmarks.root].copy()
-    return landmarks.points(data), landmarks.torso_axes(data), velocity
-
-
-def g(model: mujoco.MjModel, data: mujoco.MjData, landmarks: Landmarks) -> np.ndarray:
-    """Return the features (F,) of one state; its positions and velocities must be up to date."""
-    return skeletal_features(*read(model, data, landmarks))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from silem.bodies.body import Skeleton
-from silem.motion.features import Landmarks, read
+from silem.motion.features import Landmarks
 from silem.util.errors import SilemError
 
 SIDES = ("left", "right")
@@ -56,7 +56,10 @@ def observe(
     data, landmarks, seen = mujoco.MjData(model), Landmarks(model, skeleton), []
     for data.qpos[:], data.qvel[:] in zip(qpos, qvel, strict=True):
         mujoco.mj_forward(model, data)
-        seen.append(read(model, data, landmarks))
+        mujoco.mj_subtreeVel(model, data)
+        torso_axes = landmarks.oriented(data.xmat[landmarks.torso])
+        velocity = data.subtree_linvel[landmarks.root].copy()
+        seen.append((data.xpos[landmarks.ids], torso_axes, velocity))
     points, torso_axes, com_velocity = (np.array(column) for column in zip(*seen, strict=True))
     return points, torso_axes, com_velocity
 

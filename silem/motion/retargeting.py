@@ -64,7 +64,7 @@ _COPIED = ("source", "source_sha256", "licence", "acknowledgement")  # from the 
 def learner(name: str) -> MujocoBody:
     """Return a humanoid as Peng20 has it: Atlas with the ankles of its best combination."""
     if name == "Atlas":
-        return atlas.body(paper.best_combination(name, "peng20")["ankle_range_rad"])
+        return atlas.body(paper.best_combination(name, "peng20")[0]["ankle_range_rad"])
     return bodies.of_kind(name, MujocoBody)
 
 

@@ -115,14 +115,10 @@ def common(family: str = "halfcheetah") -> dict[str, Any]:
     return {row["parameter"]: row["value"] for row in chosen.rows}
 
 
-def best_table(body: str, method: str) -> PaperTable | None:
-    """Return the table with the best combination of a body ("HC1") and method, or None."""
-    found = _best(body, method)
-    return found[0] if found else None
-
-
-def best_combination(body: str, method: str, demonstrations: str = "") -> dict[str, Any]:
-    """Return the hyper-parameters that the supplement found best for one cell of the study.
+def best_combination(
+    body: str, method: str, demonstrations: str = ""
+) -> tuple[dict[str, Any], PaperTable | None]:
+    """Return the hyper-parameters that the supplement found best for one cell, and their table.
 
     Every imitator has tables of its own (HalfCheetah: tab4.1 to tab4.3, Ant: tab3.1 to tab3.3)
     but ``silem-mlp``, which takes SILEM's. ``silem-minus`` from the learner's own expert is
@@ -136,22 +132,20 @@ def best_combination(body: str, method: str, demonstrations: str = "") -> dict[s
 
     Returns:
         The values by the names of ``HyperParameters``, those alone that the paper prints for the
-        method: SILEM⁻ has none for the transform.
-
-    Raises SilemError if the paper has none for them.
+        method: SILEM⁻ has none for the transform. Where it prints none, nothing and no table.
     """
-    own = demonstrations == body and body not in _ORIGINAL_BODIES
-    if method == "silem-minus" and own and _best(body, "silem-minus-own"):
-        method = "silem-minus-own"
-    found = _best(body, method)
-    if found is None:
-        raise SilemError(f"the paper has no hyper-parameters for {method} on {body!r}")
+    if method == "silem-minus" and demonstrations == body and body not in _ORIGINAL_BODIES:
+        if (own := best_combination(body, "silem-minus-own"))[1]:
+            return own
+    printed_as = _TABLE_METHOD.get(method, method)
     left_out = ("body", *(_TRANSFORM_SYMBOLS if method.startswith("silem-minus") else ()))
-    return {
-        symbols()[symbol].parameter: float(value) if symbols()[symbol].real else value
-        for symbol, value in found[1].items()
-        if symbol not in left_out
-    }
+    for candidate in tables().values():
+        for row in candidate.rows if candidate.kind == "best" else ():
+            if printed_as in candidate.methods and _read("bodies")["names"][row["body"]] == body:
+                known = {symbols()[name]: row[name] for name in row if name not in left_out}
+                values = {s.parameter: float(v) if s.real else v for s, v in known.items()}
+                return values, candidate
+    return {}, None
 
 
 def grid_values(key: str) -> dict[str, list[Any]]:
@@ -163,16 +157,6 @@ def grid_values(key: str) -> dict[str, list[Any]]:
     if chosen.kind != "grid":
         raise SilemError(f"table {key!r} is a table of kind {chosen.kind!r}, not a grid")
     return {row["symbol"]: list(row["values"]) for row in chosen.rows}
-
-
-def _best(body: str, method: str) -> tuple[PaperTable, Mapping[str, Any]] | None:
-    """Return the table with the best combination of a body and method, and its row."""
-    for candidate in tables().values():
-        if candidate.kind == "best" and _TABLE_METHOD.get(method, method) in candidate.methods:
-            for row in candidate.rows:
-                if _read("bodies")["names"][row["body"]] == body:
-                    return candidate, row
-    return None
 
 
 @cache

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from silem import bodies
 from silem.report import results, scores, statistics, style
 from silem.report.style import QUANTITIES
-from silem.study.record import CURVE, CURVE_COLUMNS, RunRecord
+from silem.study.runs import CURVE, CURVE_COLUMNS, RunRecord
 from silem.util import files
 from silem.util.errors import choose
 

@@ -32,14 +32,13 @@ from tqdm import tqdm
 import silem
 from silem import bodies
 from silem.algorithms import PPO, SILEM
-from silem.algorithms.networks import AffineTransform
+from silem.algorithms.silem import AffineTransform
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
-from silem.envs.mujoco import body_of
 from silem.motion import demonstrator
 from silem.study import runs
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
-from silem.study.record import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
+from silem.study.runs import CHECKPOINT, CURVE, POLICY, RunRecord, curve_csv
 from silem.study.training import Checkpoint, make_env, make_model, train
 from silem.util import files, seeding
 from silem.util.errors import SilemError, choose
@@ -134,7 +133,7 @@ def of_runs(
     """Film the policies of finished runs by label, from one seed; labels now say who fell when."""
     clips = {}
     for label, run in records.items():
-        learner, policy = run.run_config().learner, load_policy(run)
+        learner, policy = run.run_config.learner, load_policy(run)
         clip = rollout(learner, policy, duration_s=duration_s, size=size)
         fell = len(clip.frames) < round(duration_s * clip.frames_per_s)
         clips[f"{label}, falls at {clip.duration_s:.1f} s" if fell else label] = clip
@@ -149,7 +148,7 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
     """
     if (record := runs.find(run_id)) is None:
         raise SilemError(f"there is no finished run {run_id!r}")
-    budget, clips, transforms = record.run_config().budget, {}, []
+    budget, clips, transforms = record.run_config.budget, {}, []
     every, last = budget.checkpoint_every, budget.n_iterations
     filmed = {0, *(every * round(last / 2**i / every) for i in range(n_films - 1))}
     for reached, model in tqdm(_checkpoints(record), run_id, last // every + 1, unit="checkpoint"):
@@ -171,7 +170,7 @@ def of_training(run_id: str, n_films: int = 6, folder: Path = LEARNING) -> None:
 
 def _checkpoints(record: RunRecord) -> Iterator[tuple[Checkpoint, PPO]]:
     """Repeat a run; yield its checkpoints and the models they hold, first the untrained one."""
-    config = record.run_config()
+    config = record.run_config
     demonstrations, sha = runs.load_demonstrations(config)
     reached = Checkpoint.start(config, sha or "")
     with tempfile.TemporaryDirectory() as folder:
@@ -197,7 +196,7 @@ def _of_now(model: PPO, record: RunRecord) -> Clip:
         policy = Path(name) / POLICY
         model.export_policy(policy)
         now = replace(record, folder=policy.parent, files={POLICY: files.sha256(policy)})
-        learner = record.run_config().learner
+        learner = record.run_config.learner
         return rollout(learner, load_policy(now), duration_s=5.0, size=_SMALL, progress=False)
 
 
@@ -212,7 +211,7 @@ def motion(
     if not duration_s > 0:
         raise SilemError(f"duration_s = {duration_s} is not a positive number of seconds")
     shown = qpos[np.arange(len(qpos)) / rate_hz <= duration_s][::_STEPS_PER_FRAME]
-    with closing(Camera(body_of(body), *size)) as camera:
+    with closing(Camera(bodies.of_kind(body, MujocoBody), *size)) as camera:
         pictures = np.stack([camera.picture(pose) for pose in shown])
     return Clip(pictures, rate_hz / _STEPS_PER_FRAME)
 

@@ -20,12 +20,11 @@ from silem import bodies
 from silem.report import style
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
-from silem.study.demonstrate import experts
-from silem.study.record import CURVE, CURVE_COLUMNS, RECORD, TRANSFORM, RunRecord
+from silem.study.runs import CURVE, CURVE_COLUMNS, TRANSFORM, RunRecord
 from silem.study.settings import BUDGETS, FAMILIES, METHODS
-from silem.study.studies import cells, seeds_of, study_configs
+from silem.study.studies import cells, experts, folder_of, narrowed, study_configs
 from silem.study.verify import check
-from silem.util import files, paths
+from silem.util import files
 from silem.util.errors import SilemError, choose
 
 _KEYS = ["body", "method", "demonstrations", "seed"]
@@ -72,8 +71,8 @@ def load_records(
     sized = BUDGETS[budget].with_iterations(n_iterations) if n_iterations else BUDGETS[budget]
     plans = [plan for plan in study_configs(study, sized, **which) if not _is_copy(plan)]
     planned, rows, set_aside = {plan.run_id for plan in plans}, [], []
-    for record in _records(next((cell.study for cell in cells(study)), study), budget):
-        config = record.run_config()
+    for record in _records(folder_of(study), budget):
+        config = record.run_config
         if _is_copy(config):
             continue
         if record.run_id in planned or _is_of_other_seed(config, plans):
@@ -105,11 +104,10 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:
     """Yield the valid records in a study's folder at a budget, each once: published ones first."""
-    folders = [] if BUDGETS[budget].is_evidence else [paths.runs_dir() / study]
-    folders.append(paths.results_dir(study))
-    found = {path.parent.name: path.parent for f in folders for path in f.glob(f"*/{RECORD}")}
+    working = [] if BUDGETS[budget].is_evidence else runs.recorded(study, working=True)
+    found = {folder.name: folder for folder in (*working, *runs.recorded(study))}
     for record in (check(found[name], with_files=False) for name in sorted(found)):
-        if record.run_config().budget.base_name == budget:
+        if record.run_config.budget.base_name == budget:
             yield record
 
 
@@ -216,7 +214,7 @@ def trace(frame: pd.DataFrame) -> HTML:
 
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
-    folder = cells(study)[0].study
+    folder = folder_of(study)
     kept = BUDGETS[budget].is_evidence or folder.startswith(SEARCH)
     where = f"records in data/results/{folder}" if kept else "local runs"
     missing, aside = frame.attrs["missing"], [{"run_id": n} for n in frame.attrs["set_aside"]]
@@ -244,7 +242,7 @@ def commits(frame: pd.DataFrame) -> str:
 
 def n_trials(frame: pd.DataFrame) -> int:
     """Return how many trials a table's study plans for each cell at its budget."""
-    return len(seeds_of(frame.attrs["study"], BUDGETS[frame.attrs["budget"]]))
+    return len(narrowed(frame.attrs["study"], frame.attrs["budget"]).seeds)
 
 
 def body_names(frame: pd.DataFrame) -> list[str]:

@@ -18,7 +18,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from silem import paper
-from silem.study.settings import BUDGETS, METHODS, HyperParameters, of_family
+from silem.study.settings import BUDGETS, METHODS, HyperParameters, namesake
 from silem.util.errors import SilemError, choose
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -137,7 +137,7 @@ def budgets() -> Table:
     for budget in BUDGETS.values():
         more = ""
         for name, family in (("Ants", "ant"), ("humanoids", "humanoid")):
-            if (theirs := of_family(budget, family).n_iterations) != budget.n_iterations:
+            if (theirs := namesake(budget, family).n_iterations) != budget.n_iterations:
                 more += f"; {name} {as_text(theirs)}"
         spent = budget.n_envs, budget.steps_per_iteration, budget.n_iterations, budget.n_trials
         row = [f"`{budget.name}`", *map(as_text, (*spent, budget.n_eval_episodes))]

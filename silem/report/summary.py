@@ -33,7 +33,7 @@ from silem.report.sphinxext import TABLES, Table, TableDirective, role
 from silem.report.style import DASH, number
 from silem.report.web import records
 from silem.study.config import RunConfig
-from silem.study.record import RECORD, git
+from silem.study.runs import RECORD, git
 from silem.study.settings import METHODS
 from silem.study.studies import STUDIES, study_configs
 from silem.util import files, paths
@@ -53,7 +53,7 @@ def costs() -> pd.DataFrame:
     dates = _published()
     rows: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
     for record in records():
-        config, machine = record.run_config(), record.provenance.get("machine", {})
+        config, machine = record.run_config, record.provenance.get("machine", {})
         counted = record.processor_time_s
         taken = _plan(config) | {
             "hours": record.wall_time_s / 3600,

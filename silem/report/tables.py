@@ -16,8 +16,7 @@ from silem import paper
 from silem.report import results, statistics, style
 from silem.report.style import QUANTITIES, number
 from silem.study.config import RunConfig
-from silem.study.settings import BUDGETS
-from silem.study.studies import cells, seeds_of
+from silem.study.studies import cells, narrowed
 from silem.util import files, paths
 
 
@@ -81,7 +80,7 @@ def searched(frame: pd.DataFrame, began: Mapping[str, Mapping[str, Any]]) -> pd.
     (it is what the study has now).
     """
     rows, (study, budget) = [], results.context(frame)
-    for cell, seed in itertools.product(cells(study), seeds_of(study, BUDGETS[budget])):
+    for cell, seed in itertools.product(cells(study), narrowed(study, budget).seeds):
         config, first = cell.config(budget, seed), began[cell.method]
         usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
         changed = {name: value for name, value in cell.overrides if first.get(name) != value}
@@ -120,7 +119,7 @@ def beside(what: str, frames: Mapping[str, pd.DataFrame], methods: Sequence[str]
     """
     (first, before), (second, after) = frames.items()
     plans = [results.context(frame) for frame in frames.values()]
-    seeds = set.intersection(*(set(seeds_of(study, BUDGETS[budget])) for study, budget in plans))
+    seeds = set.intersection(*(set(narrowed(*plan).seeds) for plan in plans))
     cells, gains = [], []
     for body, method, _ in results.planned(after, methods):
         called = {"body": body, "method": style.METHODS[method].short}
@@ -148,7 +147,7 @@ def ensembles(frame: pd.DataFrame) -> Styler:
     """Return Table 1 for K affine maps behind a gate and for the MLP: a row per body and f."""
     counts, apart = [], []
     for run in frame["run_id"]:
-        counts.append(results.find(run).run_config().hyper.transform_components)
+        counts.append(results.find(run).run_config.hyper.transform_components)
         maps = results.load_transform(run)["scale"] if counts[-1] > 1 else np.full((2, 1), np.nan)
         apart.append(100 * maps.std(axis=0).mean() / abs(maps - 1).mean())
     frame = frame.assign(count=counts, apart=apart)

@@ -16,7 +16,7 @@ from silem.motion.demonstrations import Demonstrations, file_of
 from silem.motion.features import FEATURES
 from silem.report import results, scores, statistics, style
 from silem.report.style import number
-from silem.study.record import TRANSFORM, RunRecord
+from silem.study.runs import TRANSFORM, RunRecord
 from silem.study.settings import HUMAN
 from silem.util import files
 from silem.util.errors import SilemError, choose

@@ -36,10 +36,10 @@ from silem.report import results, style
 from silem.report.film import LEARNING
 from silem.report.transforms import feature_names, learned
 from silem.study.evaluate import load_policy
-from silem.study.record import CURVE, RECORD, TRANSFORM, RunRecord
+from silem.study.runs import CURVE, TRANSFORM, RunRecord, recorded
 from silem.study.settings import METHODS
 from silem.study.studies import STUDIES
-from silem.util import files, paths
+from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
@@ -123,8 +123,7 @@ _MEMBERS = ("mujoco.js", "mujoco.wasm")
 
 def records() -> list[RunRecord]:
     """Return every published record, in the order of the studies, bodies and methods."""
-    folders = (paths.data_dir() / "results").glob(f"*/*/{RECORD}")
-    found = [RunRecord.load(path) for path in sorted(folders)]
+    found = [RunRecord.load(folder) for folder in recorded()]
     order = list(STUDIES), bodies.names(), list(METHODS)
 
     def rank(record: RunRecord) -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 from silem import bodies
 from silem.bodies import Body
 from silem.study import settings
-from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named, of_family
+from silem.study.settings import METHODS, Budget, HyperParameters, Setting, budget_named
 from silem.util.errors import SilemError, check_name, choose, reason
 
 TRIAL_SEEDS = (0, 1, 2, 3, 4)  #: the trials' root seeds, fixed before any run was made
@@ -64,7 +64,7 @@ class RunConfig:
         learner = bodies.get(body)
         choose("method", method, METHODS)
         demonstrations = settings.demonstrations(body, method, demonstrations)
-        budget = of_family(budget_named(budget), learner.family)
+        budget = budget_named(budget, learner.family)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**31:
             raise SilemError(f"seed must be a whole number from 0 to 2**31 - 1, not {seed!r}")
         study = learner.family if study is None else study
@@ -136,7 +136,8 @@ class RunConfig:
         """The command line that makes this run, or goes on with it."""
         budget, _, iterations = self.budget.name.partition("-")
         options = {
-            "import": bodies.module_of(self.body), "body": self.body, "method": self.method,
+            "import": (bodies.identity(self.body) or {}).get("module", ""),
+            "body": self.body, "method": self.method,
             "demonstrations": self.demonstrations, "budget": budget, "iterations": iterations,
             "seed": str(self.seed),
             "study": self.study if self.study != bodies.get(self.body).family else "",

@@ -1,9 +1,10 @@
-"""Rolling out a fixed policy: evaluation by the true reward, and recording demonstrations.
+"""Rolling out a fixed policy: evaluation by the true reward, and demonstrations with their gait.
 
 Policies act stochastically, as in training and in the demonstrations.
 """
 
 from collections.abc import Generator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -12,11 +13,14 @@ from tqdm import tqdm
 
 from silem import algorithms, bodies
 from silem.algorithms.gaifo import GAIfO, LearnerFeatures, episode_windows
-from silem.bodies import Body
+from silem.bodies import Body, BulletBody
+from silem.bodies.body import AT_LIMIT, VELOCITY_SCALE
 from silem.envs import make_vec
 from silem.envs.base import INFO_KEY
+from silem.motion import demonstrations as demos
 from silem.motion.demonstrations import Demonstrations
-from silem.study.record import POLICY, RunRecord
+from silem.study import runs
+from silem.study.runs import POLICY, RunRecord
 from silem.study.training import unclipped
 from silem.util import seeding
 from silem.util.errors import SilemError
@@ -26,6 +30,7 @@ EVALUATION_SEED = seeding.child_seed(0, "evaluation")
 
 _DEMONSTRATION_SEED = seeding.child_seed(0, "demonstrations")
 _MAX_ENVS = 8
+_FORWARD, _PITCH, _FIRST_ANGLE = 3, 7, 8  # columns of `silem.envs.bullet.LocomotionTask`
 
 
 class Policy(Protocol):
@@ -58,7 +63,7 @@ class RandomPolicy:
 
 def load_policy(record: RunRecord) -> Policy:
     """Return a finished run's policy, ready to `predict`; SilemError if it is not as recorded."""
-    config = record.run_config()
+    config = record.run_config
     if config.method == "random":
         return RandomPolicy(config.learner, config.seed, config.hyper.action_std)
     policy, env = algorithms.load_policy(record.file(POLICY)), make_vec(config.learner, 1)
@@ -186,3 +191,106 @@ def record_episodes(
     recorded = episodes(policy, body, n_trajectories, _DEMONSTRATION_SEED, progress=progress)
     features, returns, *_ = zip(*recorded, strict=True)
     return Demonstrations(features, returns, body, run_id)
+
+
+def demonstrate(
+    record: RunRecord,
+    n_trajectories: int = 20,
+    *,
+    name: str | None = None,
+    force: bool = False,
+    progress: bool = False,
+) -> Path:
+    """Record and publish state-only demonstrations of a finished run's stochastic policy.
+
+    Failed episodes stay in; the manifest says how many, and a runner's `Gait`. Imitators find the
+    file, which is returned, by `name`; None means the expert's body, whose demonstrator it then is.
+    Raises SilemError: the run is no expert's, or another's are there already, and no `force`.
+    """
+    body = record.config["body"]
+    name = body if name is None else name
+    if record.config["method"] != "ppo":
+        raise SilemError(f"{record.run_id} is no expert's run (its method is not ppo)")
+    if n_trajectories < 1:
+        raise SilemError(f"demonstrations need 1 trajectory or more, not {n_trajectories}")
+    path = demos.file_of(name)
+    with demos.publishing():
+        if path.exists() and not force:
+            there = Demonstrations.load(name)
+            n, whose = len(there.features), there.expert_run_id or "another expert"
+            if whose != record.run_id or n != n_trajectories:
+                told = f"{path} holds {n} trajectories of {whose} already"
+                raise SilemError(f"{told}; {runs.instead_of(path)}")
+            if demos.is_published(name):
+                return path
+        else:
+            there = record_episodes(
+                load_policy(record), body, n_trajectories, run_id=record.run_id, progress=progress
+            )
+        runner = isinstance(bodies.get(body), BulletBody)
+        return demos.publish(name, there, gait(there)._asdict() if runner else None)
+
+
+def describe(name: str) -> str:
+    """Say in one line what the manifest knows of demonstrations that an expert made."""
+    about = demos.entry(name)
+    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f} ± "
+    text += "{return_std:.0f}"
+    if "pitch_rad" in about:
+        text += (
+            ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s, pitch"
+        )
+        text += " {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
+        text += " of the time"
+    return text.format(**about)
+
+
+class Gait(NamedTuple):
+    """How a runner moves, by its features, and what the manifest says of an expert's returns."""
+
+    speed_m_s: float
+    pitch_rad: float  # mean over all states; positive is nose down
+    pitch_std_rad: float
+    limit_share: float  # of the states, those with any joint at its limit
+    joints_at_limit: float  # mean number of joints at their limits, which the task charges
+    return_worst: float | None  # None where the returns are unknown
+    n_failed: int | None  # episodes, none of which is left out
+
+
+def gait(demonstrations: Demonstrations) -> Gait:
+    """Measure the gait of a runner's demonstrations over all states; SilemError for others."""
+    states = np.concatenate(demonstrations.features)
+    at_limits = joints_at_limit(states, demonstrations.body)
+    pitch = pitch_rad(states)
+    returns = np.array(demonstrations.returns)
+    return Gait(
+        speed_m_s=float(states[:, _FORWARD].mean(dtype=np.float64)) / VELOCITY_SCALE,
+        pitch_rad=float(pitch.mean()),
+        pitch_std_rad=float(pitch.std()),
+        limit_share=float((at_limits > 0).mean()),
+        joints_at_limit=float(at_limits.mean()),
+        return_worst=float(returns.min()) if len(returns) else None,
+        n_failed=int(failed(returns).sum()) if len(returns) else None,
+    )
+
+
+def pitch_rad(features: np.ndarray) -> np.ndarray:
+    """Return the torso's pitch of every state, (..., F) to (...); positive is nose down."""
+    return np.asarray(features[..., _PITCH], dtype=np.float64)
+
+
+def joints_at_limit(features: np.ndarray, body: str) -> np.ndarray:
+    """Count the joints at their limits in a runner's every state, (..., F) to (...)."""
+    found = bodies.get(body)
+    if not isinstance(found, BulletBody):
+        raise SilemError(f"a gait is measured on HalfCheetahs and Ants, not on {body}")
+    if features.shape[-1] != found.observation_size:
+        raise SilemError(f"{features.shape[-1]} features, {body} has {found.observation_size}")
+    angles = features[..., _FIRST_ANGLE : _FIRST_ANGLE + 2 * len(found.motors) : 2]
+    return np.asarray((np.abs(angles) > AT_LIMIT).sum(axis=-1))
+
+
+def failed(returns: np.ndarray) -> np.ndarray:
+    """Tell of every episode, (N,), whether it returns less than half of what the median does."""
+    median = float(np.median(returns))
+    return np.asarray(returns < median - abs(median) / 2)

@@ -70,7 +70,7 @@ def _used_by(methods: tuple[str, ...], default: Any, source: str = "", **rules: 
 
 
 _PPO = paper.common("halfcheetah")  # the supplement's common settings for the PyBullet bodies
-_BEST = paper.best_combination("HC0", "silem", "HC0")
+_BEST, _ = paper.best_combination("HC0", "silem", "HC0")
 _COMMON, _TEXT = "supplement, common settings for PPO", "supplement, text"
 _ROW, _MEREL = "supplement, SILEM's best combination for HC0", "merel-mocap-gail"
 
@@ -237,7 +237,7 @@ class FamilySettings:
     stand_in: str  # whose best combinations a body takes that the paper does not know
     # what the paper leaves open and the family needs, or prints for it alone
     chosen: Mapping[str, Setting] = field(default_factory=dict)
-    budgets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # what counts otherwise
+    budgets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # what counts otherwise
 
 
 _MUJOCO = paper.common("humanoid")
@@ -274,46 +274,24 @@ FAMILIES = {
 """By family of bodies; others take HalfCheetah's."""
 
 
-def budget_named(budget: str | Budget) -> Budget:
-    """Return one of `BUDGETS` by its name, or the budget itself."""
-    return BUDGETS[choose("budget", budget, BUDGETS)] if isinstance(budget, str) else budget
+def budget_named(budget: str | Budget, family: str = "") -> Budget:
+    """Return one of `BUDGETS` by its name, with the counts it has on a family of bodies.
 
-
-def _namesake(budget: Budget) -> Budget | None:
-    """Return the one of `BUDGETS` whose name a budget bears, with the iterations that it names."""
-    base = BUDGETS.get(budget.base_name)
-    if base is None or base.name == budget.name:
-        return base
-    return base.with_iterations(budget.n_iterations)
-
-
-def of_family(budget: Budget, family: str) -> Budget:
-    """Return a budget with the counts it has on a family; one that is not of `BUDGETS` as it is.
-
-    A number of iterations of its own is kept.
+    One of them that is given itself, or with other iterations, gets them too; others stay as given.
     """
-    if budget != _namesake(budget):
+    found = BUDGETS[choose("budget", budget, BUDGETS)] if isinstance(budget, str) else budget
+    return namesake(found, family) if found == namesake(found) else found
+
+
+def namesake(budget: Budget, family: str = "") -> Budget:
+    """Return the one of `BUDGETS`, for a family, whose name a budget bears; itself if none's.
+
+    Its iterations are the budget's, where the name says that they are others.
+    """
+    if (base := BUDGETS.get(budget.base_name)) is None:
         return budget
-    counts: dict[str, Any] = dict(_family(family).budgets.get(budget.base_name, {}))
-    if budget.name != budget.base_name:
-        counts.pop("n_iterations", None)
-    return dataclasses.replace(budget, **counts)
-
-
-def check_counts(budget: Budget, family: str) -> None:
-    """Refuse (SilemError) a budget that bears the name of one of `BUDGETS` without its counts.
-
-    Its runs would pass for evidence. Finished runs are not asked: counts change over time.
-    """
-    if (named := _namesake(budget)) is None:
-        return
-    expected = dataclasses.asdict(of_family(named, family)) | {"n_trials": budget.n_trials}
-    differs = [name for name in expected if getattr(budget, name) != expected[name]]
-    if differs:
-        raise SilemError(
-            f"budget {budget.name!r} has another {', '.join(differs)} than {named.name!r}; give it"
-            f" a name of its own, which begins with none of {', '.join(BUDGETS)}"
-        )
+    base = dataclasses.replace(base, **_family(family).budgets.get(base.name, {}))
+    return base if base.name == budget.name else base.with_iterations(budget.n_iterations)
 
 
 def _family(name: str) -> FamilySettings:
@@ -393,8 +371,8 @@ _common = cache(paper.common)
 def _best(body: str, method: str, source: str, stand_in: str) -> dict[str, Setting]:
     """Return the supplement's best combination of a cell, else SILEM's, else the stand-in's."""
     for wanted, known in ((m, b) for m in (method, "silem") for b in (body, stand_in)):
-        if table := paper.best_table(known, wanted):
+        values, table = paper.best_combination(known, wanted, source if known == body else "")
+        if table:
             label = f"supplement, {table.label}, {known}"
-            values = paper.best_combination(known, wanted, source if known == body else "")
             return {name: Setting(value, label) for name, value in values.items()}
     return {}

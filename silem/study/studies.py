@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
-from silem import paper
+from silem import bodies, paper
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.settings import BUDGETS, Budget, HyperParameters, budget_named
@@ -290,6 +290,11 @@ _define(
 )
 
 
+def folder_of(study: str) -> str:
+    """Return the name of the folder of a study's or search's runs."""
+    return SEARCH + study.replace("/", "-") if "/" in study else study
+
+
 def study_of(name: str) -> Study:
     """Return a study by name; STUDY/BODY/METHOD is the supplement's search of that cell.
 
@@ -305,17 +310,17 @@ def study_of(name: str) -> Study:
         return found
     known = {f"{cell.body}/{cell.method}": cell for cell in found.cells}
     cell = known[choose(f"search in {study}", "/".join(searched), known)]
-    table = paper.best_table(cell.body, cell.method)
+    source = cell.demonstrations or ""
+    best, table = paper.best_combination(cell.body, cell.method, source)
     if table is None or not table.grid:
         raise SilemError(f"the supplement has searched no grid for {cell.method} on {cell.body}")
     used, printed = HyperParameters.used_by(cell.method), paper.grid_values(table.grid)
     grid = {paper.symbols()[symbol].parameter: values for symbol, values in printed.items()}
     grid = {name: values for name, values in grid.items() if name in used}
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-    best = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
     order = seeding.generator(0, "search").permutation(len(points))
     points = sorted((points[i] for i in order), key=lambda point: point != best)
-    given, label = dict(cell.overrides), f"{SEARCH}{study}-{cell.body}-{cell.method}"
+    given, label = dict(cell.overrides), folder_of(name)
     cells = (
         dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
         for point in points
@@ -323,41 +328,52 @@ def study_of(name: str) -> Study:
     return Study(tuple(cells), SEARCH_SEEDS, f"the supplement's grid {table.grid} on {name}")
 
 
+def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:
+    """Return a body's experts, PPO with the true reward: every trial's configuration, or one's.
+
+    Those of its family's study; of a body that its name describes, of the first that plans them.
+    """
+    every = (cell for known in STUDIES.values() for cell in known.cells)
+    plans = [cell.study for cell in every if (cell.method, cell.body) == ("ppo", body)]
+    study = plans[0] if plans and body not in bodies.names() else None
+    trials = STUDIES[study].seeds if study else TRIAL_SEEDS
+    seeds = trials[: budget_named(budget).n_trials] if trial is None else (trial,)
+    return [RunConfig.create(body, "ppo", None, budget, seed, study) for seed in seeds]
+
+
 def cells(study: str) -> list[Cell]:
     """Return a study's cells, experts first; raises as `study_of`."""
     return list(study_of(study).cells)
 
 
-def seeds_of(study: str, budget: Budget, n_trials: int | None = None) -> tuple[int, ...]:
-    """Return the root seeds of a study's trials; None means as many as budget and study have."""
-    seeds = study_of(study).seeds
-    if n_trials is None:
-        return seeds[: budget.n_trials]
-    if not 1 <= n_trials <= len(seeds):
-        raise SilemError(f"trials of {study} must be 1 to {len(seeds)}, not {n_trials}")
-    return seeds[:n_trials]
-
-
-def study_configs(
+def narrowed(
     study: str,
     budget: str | Budget,
     n_trials: int | None = None,
     sample: int | None = None,
     **only: Sequence[str] | None,
-) -> list[RunConfig]:
-    """Return the runs of a study or search: the first trial of every cell before any second.
+) -> Study:
+    """Return what is asked for of a study or search; `n_trials` None means as many as it has.
 
-    Of a search `sample` keeps the first so many cells, ``method=[...]`` and ``body=[...]`` those
-    cells alone; `n_trials` None means as many as the budget and the study have. Raises SilemError:
-    an unknown study or budget, or more trials than there are fixed seeds.
+    That is as many as the budget and the study have. Of a search `sample` keeps the first so many
+    cells, ``method=[...]`` and ``body=[...]`` those cells alone. Raises SilemError: an unknown
+    study or budget, or more trials than there are fixed seeds.
     """
-    budget = budget_named(budget)
-    kept, seeds = cells(study)[:sample], seeds_of(study, budget, n_trials)
+    whole, n = study_of(study), budget_named(budget).n_trials if n_trials is None else n_trials
+    if n_trials is not None and not 1 <= n <= len(whole.seeds):
+        raise SilemError(f"trials of {study} must be 1 to {len(whole.seeds)}, not {n_trials}")
+    kept = whole.cells[:sample]
     for name, wanted in only.items():
         for value in wanted or ():
-            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in cells(study)))
-        kept = [cell for cell in kept if not wanted or getattr(cell, name) in wanted]
-    return [cell.config(budget, seed) for seed in seeds for cell in kept]
+            choose(name, value, dict.fromkeys(getattr(cell, name) for cell in whole.cells))
+        kept = tuple(cell for cell in kept if not wanted or getattr(cell, name) in wanted)
+    return dataclasses.replace(whole, cells=kept, seeds=whole.seeds[:n])
+
+
+def study_configs(study: str, budget: str | Budget, *which: Any, **only: Any) -> list[RunConfig]:
+    """Return the runs of a study, `narrowed`: the first trial of every cell before any second."""
+    part = narrowed(study, budget, *which, **only)
+    return [cell.config(budget, seed) for seed in part.seeds for cell in part.cells]
 
 
 class Ranked(NamedTuple):
@@ -366,48 +382,42 @@ class Ranked(NamedTuple):
     settings: dict[str, Any]  # what the grid varies
     score: float  # mean over the trials of the return
     returns: tuple[float, ...]  # of the trials
-    run_ids: tuple[str, ...]
     is_papers: bool  # whether it is the supplement's best combination
     fresh: tuple[float, ...]  # returns of trials on the seeds that the search has not used
 
 
-def ranking(
-    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
-) -> list[Ranked]:
+def ranking(study: str, budget: str | Budget, *which: int | None) -> list[Ranked]:
     """Rank the configurations of a search of which all trials are finished, the best first.
 
-    The score is the supplement's: the mean over the trials of what the trained policy returns. The
-    arguments are those of `study_configs`.
+    The score is the supplement's: the mean over the trials of what the trained policy returns.
+    `which` are numbers of trials and cells, as in `narrowed`.
     """
-    budget, found = budget_named(budget), []
-    n, searched = len(seeds_of(study, budget, n_trials)), cells(study)[:sample]
-    for cell in searched:
-        ids = tuple(cell.config(budget, seed).run_id for seed in SEARCH_SEEDS)
+    part, found = narrowed(study, budget, *which), []
+    n = len(part.seeds)
+    for cell in part.cells:
+        ids = [cell.config(budget, seed).run_id for seed in SEARCH_SEEDS]
         used, fresh = (
             tuple(float(r.evaluation["return_mean"]) for run_id in some if (r := runs.find(run_id)))
             for some in (ids[:n], ids[n:])
         )
         if len(used) == n:
-            best = cell is searched[0]
-            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, ids[:n], best, fresh))
+            best = cell is part.cells[0]
+            found.append(Ranked(dict(cell.overrides), sum(used) / n, used, best, fresh))
     return sorted(found, key=lambda entry: -entry.score)
 
 
-def fresh_configs(
-    study: str, budget: str | Budget, n_trials: int | None = None, sample: int | None = None
-) -> list[RunConfig]:
+def fresh_configs(study: str, budget: str | Budget, *which: int | None) -> list[RunConfig]:
     """Return a search's winner, and the supplement's best, on the seeds that it has not used.
 
-    The winner's own trials flatter it, for they have chosen it. Raises SilemError: the search is
-    not finished, or has used all seeds.
+    The winner's own trials flatter it, for they have chosen it. `which` is as for `ranking`. Raises
+    SilemError: the search is not finished, or has used all seeds.
     """
-    budget = budget_named(budget)
-    ranked = ranking(study, budget, n_trials, sample)
-    used, searched = seeds_of(study, budget, n_trials), cells(study)[:sample]
-    if len(ranked) < len(searched):
-        told = f"{len(ranked)} of {len(searched)} configurations have all their trials"
+    part, ranked = narrowed(study, budget, *which), ranking(study, budget, *which)
+    tried, n = part.cells, len(part.seeds)
+    if len(ranked) < len(tried):
+        told = f"{len(ranked)} of {len(tried)} configurations have all their trials"
         raise SilemError(f"the winner of {study} is not known yet: {told}")
-    if len(used) == len(SEARCH_SEEDS):
-        raise SilemError(f"{study} has no fresh seeds: its {len(used)} trials have used all")
-    chosen = [c for c in searched if c is searched[0] or dict(c.overrides) == ranked[0].settings]
-    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[len(used) :] for cell in chosen]
+    if n == len(SEARCH_SEEDS):
+        raise SilemError(f"{study} has no fresh seeds: its {n} trials have used all")
+    chosen = [c for c in tried if c is tried[0] or dict(c.overrides) == ranked[0].settings]
+    return [cell.config(budget, seed) for seed in SEARCH_SEEDS[n:] for cell in chosen]

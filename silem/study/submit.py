@@ -38,17 +38,15 @@ class Options:
         """Read options; None gives the defaults.
 
         Raises SilemError: the file cannot be read, or a key is unknown or of another type; the
-        message names key and line.
+        message names file and key.
         """
         try:
-            text = path.read_text() if path else ""
-            given = tomllib.loads(text)
+            given = tomllib.loads(path.read_text()) if path else {}
         except (OSError, ValueError) as error:
             raise SilemError(f"cannot read {path}: {reason(error)}") from error
         known = {item.name: item.default for item in dataclasses.fields(cls)}
-        for key, value in given.items():
-            rows = [row.lstrip(" \t[\"'").startswith(key) for row in text.splitlines()]
-            try:
+        try:
+            for key, value in given.items():
                 default = known[choose("option", key, known)]
                 if isinstance(default, tuple) and isinstance(value, list):
                     given[key] = value = tuple(value)
@@ -56,8 +54,8 @@ class Options:
                         raise SilemError(f"{key} must be a list of lines, not {value!r}")
                 if type(value) is not type(default) or (isinstance(value, int) and value < 1):
                     raise SilemError(f"{key} must be like {default!r} (no number below 1)")
-            except SilemError as error:
-                raise SilemError(f"{path}, line {rows.index(True) + 1}: {error}") from error
+        except SilemError as error:
+            raise SilemError(f"{path}: {error}") from error
         return cls(**given)
 
 

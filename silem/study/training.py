@@ -20,14 +20,13 @@ from tqdm import tqdm
 
 from silem.algorithms import PPO, SILEM, TPIL, GAIfO
 from silem.algorithms.gaifo import SurvivalWarning
-from silem.bodies import MujocoBody
+from silem.bodies import MujocoBody, of_kind
 from silem.envs import make_vec
-from silem.envs.mujoco import body_of
 from silem.motion import demonstrations as demos
 from silem.motion import retargeted
 from silem.motion.demonstrations import Demonstrations
 from silem.study.config import RunConfig
-from silem.study.record import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
+from silem.study.runs import CHECKPOINT, CURVE_COLUMNS, PROGRESS, curve_row
 from silem.study.settings import HUMAN, METHODS, Budget
 from silem.util import files, seeding
 from silem.util.errors import SilemError, reason
@@ -41,12 +40,16 @@ _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 def task_options(config: RunConfig) -> dict[str, Any]:
     """Return what a run's task takes from its demonstrations, for `silem.envs.make_vec`.
 
-    A captured man's mean speed, in whole cm/s, earns a humanoid the full reward (Figure 3b).
+    A captured man's mean speed, in whole cm/s, earns a humanoid the full reward (Figure 3b); his
+    retargeted motion itself is slower on shorter legs.
     """
-    if not config.demonstrations or not isinstance(config.learner, MujocoBody):
+    if not isinstance(config.learner, MujocoBody):
         return {}
-    speed_m_s = demos.captured_speed_m_s(config.demonstrations)
-    return {} if speed_m_s is None else {"speed_m_s": round(speed_m_s, 2)}
+    about = demos.manifest().get(config.demonstrations, {})  # which a person's own file is not in
+    captured = demos.entry(about["retargeted_from"]) if "retargeted_from" in about else about
+    if "capture_rate_hz" not in captured:
+        return {}
+    return {"speed_m_s": round(captured["speed_m_s"], 2)}
 
 
 def make_env(config: RunConfig) -> VecEnv:
@@ -59,7 +62,7 @@ def make_env(config: RunConfig) -> VecEnv:
         name = config.demonstrations if options else HUMAN
         if not name.endswith(retargeted("", config.body)):
             name = retargeted(name, config.body)
-        options["starts"] = demonstration_states(name, body_of(config.learner))
+        options["starts"] = demonstration_states(name, of_kind(config.learner, MujocoBody))
     seed = seeding.child_seed(config.seed, "env")
     env = make_vec(config.learner, config.budget.n_envs, seed, **options)
     if not config.hyper.clip_actions:

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
@@ -11,24 +11,21 @@ from pathlib import Path
 import numpy as np
 
 from silem.motion import demonstrations as demos
-from silem.study import record as records
+from silem.study import runs
 from silem.study.config import MAX_RUN_ID, RunConfig
-from silem.study.record import CURVE, POLICY, TRANSFORM, RunRecord, git, provenance
+from silem.study.runs import CURVE, POLICY, TRANSFORM, RunRecord, git, provenance
 from silem.study.settings import IMITATORS
 from silem.util import files, paths
 from silem.util.errors import SilemError, check_name, reason
 
 EXACT, WITHIN, SOUND, NOT = "exact", "within tolerance", "sound", "not"
 N_EPISODES = 8
-MAX_STEPS = 1000  # of an episode
 FASTEST_M_S = 20.0
 TOLERANCE = 5.0
 """On another processor a policy meets other episodes; the mean return of those evaluated anew may
 then differ from the recorded one by so many standard errors of the difference."""
 # What code raises that takes a record's content for what it should be.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-# older records did not count them; no episode need end while an imitator learns
-_MAY_LACK = ("processor_time_s", "steps_mean", "disc_reward_last")
 _ROUNDING = 1e-3  # single returns are recorded with three digits after the point
 
 
@@ -66,7 +63,7 @@ def check(folder: Path, *, with_files: bool = True) -> RunRecord:
 
 def _faults(record: RunRecord, name: str, with_files: bool) -> Iterator[str]:
     """Yield what is wrong with a record of that name, each in the knowledge of what precedes."""
-    config, evaluation, training = record.run_config(), record.evaluation, record.training
+    config, evaluation, training = record.run_config, record.evaluation, record.training
     if not config.run_id == record.run_id == name:
         yield f"run id {record.run_id!r}, but its configuration's is {config.run_id}"
     returns, n_episodes = evaluation["returns"], config.budget.n_eval_episodes
@@ -92,32 +89,44 @@ def _faults(record: RunRecord, name: str, with_files: bool) -> Iterator[str]:
         yield from _faults_of_files(record, config)
 
 
+def _ranges(config: RunConfig) -> dict[str, tuple[float, float]]:
+    """Return between what the numbers of a run's record and curve lie, by name."""
+    max_steps = config.learner.max_steps
+    kinds: dict[str, tuple[float, float]] = {
+        "return_mean": (-math.inf, math.inf),
+        "speed_m_s": (-FASTEST_M_S, FASTEST_M_S),
+        "upright disc_acc_expert disc_acc_learner domain_acc": (0, 1),
+        "disc_reward disc_reward_mean disc_reward_last": (0, max_steps),  # D's are 0 to 1 a step
+        "steps_mean episode_length": (1, max_steps),
+        "policy_std wall_time_s processor_time_s steps_per_s": (0, math.inf),
+    }
+    return {name: bounds for names, bounds in kinds.items() for name in names.split()}
+
+
+def _out_of_range(
+    numbers: Iterable[tuple[str, float]], ranges: Mapping[str, tuple[float, float]]
+) -> Iterator[str]:
+    for name, value in numbers:
+        low, high = ranges.get(name, (-math.inf, math.inf))
+        if not (low <= value <= high and math.isfinite(value)):
+            yield f"{name} is {value:g}; it can be {low:g} to {high:g}"
+
+
 def _faults_of_numbers(record: RunRecord, config: RunConfig) -> Iterator[str]:
-    evaluation, training = record.evaluation, record.training
-    # A step earns at most 1 for being upright or walking, and on the PyBullet bodies its speed.
+    content, ranges = record.evaluation | record.training | vars(record), _ranges(config)
     # What other environments pay is not known, nor how fast they are.
-    # D is between 0 and 1 at each step, where there is a D.
-    speed_m_s, max_steps = evaluation["speed_m_s"], config.learner.max_steps
-    highest = math.inf if speed_m_s is None else MAX_STEPS * (1 + max(0.0, speed_m_s))
-    told, imitates = config.learner.engine != "gymnasium", config.method in IMITATORS
-    for what, value, low, high, there in (
-        ("upright", evaluation["upright"], 0.0, 1.0, told),
-        ("speed_m_s", speed_m_s, -FASTEST_M_S, FASTEST_M_S, told),
-        ("steps_mean", evaluation.get("steps_mean"), 1.0, max_steps, True),
-        ("return_mean", evaluation["return_mean"], -math.inf, highest, True),
-        ("disc_reward_mean", evaluation["disc_reward_mean"], 0.0, max_steps, imitates),
-        ("disc_reward_last", training["disc_reward_last"], 0.0, max_steps, imitates),
-        ("wall_time_s", record.wall_time_s, 0.0, math.inf, True),
-        ("processor_time_s", record.processor_time_s, 0.0, math.inf, True),
-        ("steps_per_s", training["steps_per_s"], 0.0, math.inf, config.method != "random"),
-    ):
-        if value is None:
-            if there and what not in _MAY_LACK:
-                yield f"it does not say {what}"
-        elif not (low <= value <= high and math.isfinite(value)):
-            yield f"{what} is {value:g}; it can be {low:g} to {high:g}"
-        elif not there and what.startswith("disc_"):
-            yield f"{what} is {value:g}, but {config.method} has no discriminator"
+    ours, imitates = config.learner.engine != "gymnasium", config.method in IMITATORS
+    needed = ["return_mean", "wall_time_s"] + ours * ["upright", "speed_m_s"]
+    needed += imitates * ["disc_reward_mean"] + (config.method != "random") * ["steps_per_s"]
+    said = {name: content[name] for name in ranges if content.get(name) is not None}
+    yield from (f"it does not say {name}" for name in needed if name not in said)
+    for name in said if not imitates else ():
+        if name.startswith("disc_"):
+            yield f"{name} is {said[name]:g}, but {config.method} has no discriminator"
+    if "speed_m_s" in said:  # a step earns at most 1 for being upright or walking, and its speed
+        fastest = config.learner.max_steps * (1 + max(0.0, said["speed_m_s"]))
+        ranges["return_mean"] = -math.inf, fastest
+    yield from _out_of_range(said.items(), ranges)
 
 
 def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
@@ -141,24 +150,16 @@ def _faults_of_files(record: RunRecord, config: RunConfig) -> Iterator[str]:
 
 
 def _faults_of_curve(columns: Mapping[str, np.ndarray], config: RunConfig) -> Iterator[str]:
-    budget, max_steps = config.budget, config.learner.max_steps
-    ranges = {
-        "speed_m_s": (-FASTEST_M_S, FASTEST_M_S),
-        "disc_reward": (0, max_steps),
-        "episode_length": (1, max_steps),
-        "policy_std": (0, math.inf),
-    } | dict.fromkeys(("disc_acc_expert", "disc_acc_learner", "domain_acc"), (0, 1))
-    for name, values in columns.items():
-        low, high = ranges.get(name, (-math.inf, math.inf))
-        known = values[~np.isnan(values)]
-        if np.isinf(known).any() or (known < low).any() or (known > high).any():
-            yield f"{CURVE}: {name} can be {low:g} to {high:g}"
-    always, ordered = records.CURVE_COLUMNS[: records.ALWAYS], records.CURVE_COLUMNS
+    known = {name: values[~np.isnan(values)].tolist() for name, values in columns.items()}
+    numbers = ((name, value) for name, values in known.items() for value in values)
+    for fault in _out_of_range(numbers, _ranges(config)):
+        yield f"{CURVE}: {fault}"
+    always, ordered = runs.CURVE_COLUMNS[: runs.ALWAYS], runs.CURVE_COLUMNS
     if {*always} - columns.keys() or [*columns] != [name for name in ordered if name in columns]:
         yield f"{CURVE} has the columns {', '.join(columns)}"
-    iterations = columns["iteration"]
+    iterations, budget = columns["iteration"], config.budget
     if (
-        not 1 <= len(iterations) <= records.MAX_ROWS
+        not 1 <= len(iterations) <= runs.MAX_ROWS
         or iterations[-1] != budget.n_iterations
         or not (np.diff(iterations, prepend=0) > 0).all()
         or not np.array_equal(columns["timesteps"], iterations * budget.steps_per_iteration)
@@ -172,7 +173,7 @@ def check_source(record: RunRecord) -> None:
     Raises SilemError: the demonstrations are not those published now, or a commit is none of this
     repository's (where there is git, and the whole history).
     """
-    config = record.run_config()
+    config = record.run_config
     if config.demonstrations:
         there, sha = demos.load_published(config.demonstrations)
         if sha != record.demonstrations_sha256:
@@ -228,7 +229,7 @@ def _evaluated(record: RunRecord, n_episodes: int) -> tuple[str, str]:
     from silem.study.training import task_options
 
     torch.set_num_threads(1)
-    evaluation, config = record.evaluation, record.run_config()
+    evaluation, config = record.evaluation, record.run_config
     total = config.budget.n_eval_episodes
     n, policy, task = min(n_episodes, total), load_policy(record), task_options(config)
     with closing(episodes(policy, config.learner, total, EVALUATION_SEED, **task)) as every:
@@ -259,7 +260,7 @@ def _made_here(record: RunRecord) -> bool:
     here, there = provenance(), record.provenance
     machine, packages = there.get("machine") or {}, there["packages"]
     return all(here["machine"][key] == machine.get(key) for key in ("processor", "kernels")) and (
-        here["packages"] == {name: packages.get(name) for name in records.PACKAGES}
+        here["packages"] == {name: packages.get(name) for name in runs.PACKAGES}
     )
 
 
@@ -268,7 +269,6 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
 
     Raises SilemError: there is nothing of this name.
     """
-    results, record = paths.data_dir() / "results", records.RECORD
     if name is not None:
         check_name("run id or study", name, MAX_RUN_ID)
     for published in demos.manifest() if name is None else ():
@@ -278,10 +278,10 @@ def verify_all(name: str | None = None, n_episodes: int = N_EPISODES) -> Iterato
         except SilemError as error:
             outcome, why = NOT, str(error)
         yield Verdict(f"demonstrations {published}", outcome, why)
-    found = sorted(results.glob(f"{name or '*'}/*/{record}"))
-    found = found or sorted(results.glob(f"*/{name}/{record}"))
-    found = found or sorted(paths.runs_dir().glob(f"*/{name}/{record}"))
+    found = runs.recorded(name or "*")
     if name is not None and not found:
-        raise SilemError(f"there is no finished run and no study {name!r} in {paths.data_dir()}")
-    for path in found:
-        yield verify(path.parent, n_episodes)
+        if (folder := runs.locate(name)) is None:
+            raise SilemError(f"no run and no study {name!r} has a record in {paths.data_dir()}")
+        found = [folder]
+    for folder in found:
+        yield verify(folder, n_episodes)

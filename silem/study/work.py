@@ -20,11 +20,11 @@ from typing import Any
 from tqdm import tqdm
 
 from silem.motion import demonstrations as demos
-from silem.study import demonstrate, runs
+from silem.study import runs
 from silem.study.config import RunConfig
-from silem.study.record import PROGRESS, RunRecord
+from silem.study.runs import PROGRESS, RunRecord
 from silem.study.settings import Budget, expert_of
-from silem.study.studies import cells, seeds_of
+from silem.study.studies import experts, narrowed
 from silem.util import files, paths
 from silem.util.errors import SilemError, reason
 
@@ -39,14 +39,14 @@ _ENOUGH = 3  # measured runs of a kind
 def experts_of(config: RunConfig) -> list[RunConfig]:
     """Return the experts of whom the rule still has to choose a run's demonstrator.
 
-    None where its demonstrations are there, or it needs none (see `demonstrate.demonstrator`).
+    None where its demonstrations are there, or it needs none (see `runs.demonstrator`).
     """
     name = config.demonstrations
     if not name or demos.is_published(name):
         return []
     body, trial = expert_of(name)
     runs.check_made_by_an_expert(body)
-    return demonstrate.experts(body, config.budget.base_name, trial)
+    return experts(body, config.budget.base_name, trial)
 
 
 def check(configs: Sequence[RunConfig]) -> None:
@@ -102,14 +102,11 @@ def _pass(
     """Make the first run that can be made, or wait a moment; return whether there may be more."""
     left = [config for config in configs if not runs.is_finished(config)]
     step_s = speeds(configs) if until < math.inf else lambda config: None
-    experts: dict[str, list[RunConfig]] = {}
     waiting = late = False
     for config in left:
         if runs.state(config) in ("running", "failed"):
             continue
-        kind = f"{config.demonstrations} {config.budget.base_name}"
-        needed = experts.setdefault(kind, experts_of(config))
-        states = {runs.state(expert): expert.run_id for expert in needed}
+        states = {runs.state(expert): expert.run_id for expert in experts_of(config)}
         budget = config.budget
         segment_s = (step_s(config) or 0.0) * budget.checkpoint_every * budget.steps_per_iteration
         if lost := states.get("failed"):
@@ -130,10 +127,11 @@ def _pass(
 def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
     """Make a run, and first its demonstrations; None where somebody else does, or it has failed."""
     try:
-        if experts_of(config):
-            (body, trial), name = expert_of(config.demonstrations), config.demonstrations
-            record = demonstrate.demonstrator(body, config.budget.base_name, trial)
-            demonstrate.demonstrate(record, name=name, progress=progress)
+        if needed := experts_of(config):
+            from silem.study.evaluate import demonstrate  # with all that learns
+
+            record = runs.demonstrator(needed)
+            demonstrate(record, name=config.demonstrations, progress=progress)
         return runs.run(config, progress, until=until, starts=runs.STARTS)
     except files.Held:
         return None
@@ -278,14 +276,13 @@ def speeds(configs: Sequence[RunConfig]) -> Callable[[RunConfig], float | None]:
     return of
 
 
-def status(
-    study: str, budget: Budget, n_trials: int | None = None, sample: int | None = None
-) -> str:
+def status(study: str, budget: Budget, *which: int | None) -> str:
     """Return what has been done of a study: cells by trials, who is at what, failures, time left.
 
-    The arguments are those of `silem.study.studies.study_configs`.
+    `which` are numbers of trials and cells, as in `silem.study.studies.narrowed`.
     """
-    seeds, shown = seeds_of(study, budget, n_trials), cells(study)[:sample]
+    part = narrowed(study, budget, *which)
+    seeds, shown = part.seeds, part.cells
     names = [" from ".join(filter(None, (f"{c.method} {c.body}", c.demonstrations))) for c in shown]
     several = {name for name, count in Counter(names).items() if count > 1}
     rows = [[cell.config(budget, seed) for seed in seeds] for cell in shown]
@@ -295,7 +292,7 @@ def status(
         name + "".join(f" {k}={v}" for k, v in (cell.overrides if name in several else ()))
         for cell, name in zip(shown, names, strict=True)
     ]
-    width = max(map(len, titles)) + 2
+    width = max(map(len, titles), default=0) + 2
     lines = [f"{study}, budget {budget.name}, trials by seed:"]
     lines.append((" " * width + "".join(f"{seed:<10}" for seed in seeds)).rstrip())
     for title, row in zip(titles, rows, strict=True):

@@ -18,7 +18,9 @@ def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
     """
     names = list(allowed)
     if value not in names:
-        raise SilemError(f"unknown {kind} {clipped(repr(value))}; allowed: {', '.join(names)}")
+        raise SilemError(
+            f"unknown {kind} {clipped(repr(value))}; allowed: {', '.join(names) or 'none'}"
+        )
     return value
 
 

@@ -61,14 +61,9 @@ def _opened(path: Path, flags: int) -> Iterator[int]:
         os.close(descriptor)
 
 
-def leftovers(folder: Path) -> list[Path]:
-    """Return the temporary files that a killed writer left in a folder."""
-    return sorted(Path(folder).glob(".*.tmp"))
-
-
 def remove_leftovers(folder: Path) -> None:
-    """Delete the `leftovers` of a folder; only for who holds the lock of those that write there."""
-    for leftover in leftovers(folder):
+    """Delete what killed writers left in a folder; only for who holds the lock of its writers."""
+    for leftover in Path(folder).glob(".*.tmp"):
         try:
             leftover.unlink(missing_ok=True)
         except OSError as error:

@@ -14,7 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from silem.report import film, pdf, results, scores, style, web
-from silem.study.record import CURVE
+from silem.study.runs import CURVE
 from silem.util import files
 
 pytestmark = pytest.mark.xdist_group("book")

@@ -16,7 +16,7 @@ from silem.motion.features import FEATURES
 from silem.report import results
 from silem.study import studies, verify
 from silem.study.config import SEARCH
-from silem.study.record import POLICY, RECORD, RunRecord
+from silem.study.runs import POLICY, RECORD, RunRecord
 from silem.study.settings import HUMAN, expert_of
 from silem.util import files, paths
 
@@ -50,7 +50,7 @@ def committed_data(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_record_is_sound_and_whole(path: Path) -> None:
     record = verify.check(path.parent)
     verify.check_source(record)
-    config = record.run_config()
+    config = record.run_config
     assert config.study == path.parent.parent.name
     assert config.is_published
     assert config.seed in studies.study_of(planned_as(config.study)).seeds
@@ -80,10 +80,10 @@ def test_no_published_run_is_left_out_of_the_figures(study: str) -> None:
 
     A shorter run gives way to a longer one of its cell and seed.
     """
-    for budget in {RunRecord.load(path).run_config().budget.base_name for path in RECORDS}:
+    for budget in {RunRecord.load(path).run_config.budget.base_name for path in RECORDS}:
         frame = results.load_records(planned_as(study), budget)
         for run_id in frame.attrs["set_aside"]:
-            config = results.find(run_id).run_config()
+            config = results.find(run_id).run_config
             same = [frame[name] == getattr(config, name) for name in ("method", "body", "seed")]
             longest = frame.loc[same[0] & same[1] & same[2], "n_iterations"].max()
             assert config.budget.n_iterations < longest, run_id
@@ -136,7 +136,7 @@ def test_the_rewards_speed_is_the_demonstrators() -> None:
 def test_demonstrations_come_from_a_published_expert(name: str) -> None:
     entry = MANIFEST_CONTENT[name]
     record = results.find(entry["expert_run_id"])
-    config = record.run_config()
+    config = record.run_config
     assert (config.method, config.body) == ("ppo", expert_of(name)[0])
     # The same stochastic policy: its demonstrations are worth what its evaluation was.
     spread = max(entry["return_std"], record.evaluation["return_std"])

@@ -13,15 +13,13 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import configure
 
 from silem import SILEM, Demonstrations, GAIfO, SilemError
-from silem.algorithms.networks import (
+from silem.algorithms.networks import Discriminator, discriminator_loss, squared_gradient_norm
+from silem.algorithms.silem import (
     GATE_SPREAD,
     TRANSFORMS,
     AffineEnsemble,
     AffineTransform,
-    Discriminator,
-    discriminator_loss,
     l2_penalty,
-    squared_gradient_norm,
 )
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from silem import SilemError
 from silem.algorithms import SILEM, TPIL
 from silem.algorithms.networks import ThirdPersonDiscriminator, reverse_gradient
-from silem.study.record import curve_row
+from silem.study.runs import curve_row
 
 EXPERT = [np.random.default_rng(i).standard_normal((40, 3)).astype(np.float32) for i in range(4)]
 

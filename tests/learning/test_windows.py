@@ -17,12 +17,6 @@ def test_episode_windows_by_hand() -> None:
     np.testing.assert_array_equal(episode_windows(features, 4)[:, :, 0], expected)
 
 
-@pytest.mark.parametrize("features", [np.zeros((1, 2)), np.zeros(4)])
-def test_too_short_or_misshaped_episode_is_refused(features: np.ndarray) -> None:
-    with pytest.raises(SilemError, match="T >= 1"):
-        episode_windows(features, 4)
-
-
 class Counter(gym.Env):
     """Observes (episode, steps into it); episodes last three steps, then truncate."""
 

@@ -28,9 +28,8 @@ from silem.motion import clips, demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.report import film
 from silem.study.config import RunConfig
-from silem.study.demonstrate import experts
-from silem.study.record import RunRecord
-from silem.study.studies import study_configs
+from silem.study.runs import RunRecord
+from silem.study.studies import experts, study_configs
 from silem.util.errors import SilemError
 
 REPO = Path(__file__).parents[2]

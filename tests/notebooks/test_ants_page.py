@@ -30,7 +30,7 @@ def made_up(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for config in study_configs("ant-absorbing", "book", body=["Ant0"]):
             synthetic.write_record(config)
         for record in written:
-            config = record.run_config()
+            config = record.run_config
             filmed = config.seed == 0 and config.body in ("Ant0", "Ant6")
             if filmed and config.method.startswith("silem"):
                 add_untrained_policy(config)

@@ -159,7 +159,7 @@ def test_imitation(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
     assert spoken["disc_reward"] == in_words(record.evaluation["disc_reward_mean"])
-    best = paper.best_combination("HC1", "silem", "HC0")
+    best = paper.best_combination("HC1", "silem", "HC0")[0]
     settings = words(output(page, "config"))
     assert config.run_id in settings
     assert f"n_trajectories {best['n_trajectories']} supplement" in settings

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 from silem.bodies import MujocoBody, atlas
-from silem.motion.features import FEATURES, POINTS, Landmarks, g
+from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
+from silem.motion.kinematics import observe
 from silem.util.errors import SilemError
 
+# the published constants, by name of link and joint: what the model's text has to hold
+PUBLISHED = json.loads((Path(__file__).parents[1] / "data" / "atlas_v4.json").read_text())
 WEIGHT_N = 182.42 * 9.81
 ANKLES = {f"{side}_leg_{axis}" for side in "lr" for axis in ("aky", "akx")}
 STANDING_GAIN = 20.0  # share of the effort per rad that keeps the robot on its feet
@@ -39,8 +44,9 @@ def angle(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> float:
 
 
 def features(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, float]:
-    values = g(model, data, Landmarks(model, atlas.SKELETON))
-    return dict(zip((feature.name for feature in FEATURES), values.tolist(), strict=True))
+    seen = observe(model, atlas.SKELETON, data.qpos[None], data.qvel[None])
+    (values,) = skeletal_features(*seen).tolist()
+    return dict(zip((feature.name for feature in FEATURES), values, strict=True))
 
 
 def head_after(
@@ -56,7 +62,7 @@ def head_after(
 
 def test_masses_and_inertias_are_the_published_ones(model: mujoco.MjModel):
     assert model.body_mass.sum() == pytest.approx(182.42, abs=0.01)
-    links = atlas.constants()["links"]
+    links = PUBLISHED["links"]
     assert len(links) == model.nbody - 1 == 31
     for name, link in links.items():
         body = model.body(name)
@@ -75,7 +81,7 @@ def test_masses_and_inertias_are_the_published_ones(model: mujoco.MjModel):
 def test_joints_are_the_published_ones_but_for_ankles_and_welded_wrists(
     body: MujocoBody, model: mujoco.MjModel
 ):
-    published = atlas.constants()["joints"]
+    published = PUBLISHED["joints"]
     names = [model.joint(index).name for index in range(1, model.njnt)]
     assert set(published) - set(names) == {"l_arm_wry2", "r_arm_wry2"}
     assert [motor.joint for motor in body.motors] == names
@@ -100,7 +106,9 @@ def test_the_same_text_every_time(body: MujocoBody):
 
 @pytest.mark.parametrize("ankle_range_rad", [0.1, 0.3])
 def test_the_ankles_range_holds_against_full_torque(ankle_range_rad: float):
-    model = atlas.robot(ankle_range_rad).compile()  # without the floor
+    spec = mujoco.MjSpec.from_string(atlas.model(ankle_range_rad))
+    spec.delete(spec.geom("floor"))
+    model = spec.compile()
     model.opt.gravity[:] = 0
     data = placed(model, atlas.body(ankle_range_rad).standing_pose)
     for sign in (1, -1):
@@ -130,7 +138,7 @@ def test_impossible_ankles_are_refused(ankle_range_rad: float):
 
 @pytest.mark.parametrize("ankle_range_rad", [0.02, 0.1, 0.7])
 def test_standing_pose_has_flat_soles_on_the_floor_and_respects_limits(ankle_range_rad: float):
-    model = atlas.robot(ankle_range_rad).compile()
+    model = mujoco.MjModel.from_xml_string(atlas.model(ankle_range_rad))
     data = placed(model, atlas.body(ankle_range_rad).standing_pose)
     soles = [geom for geom in range(model.ngeom) if "_sole_" in model.geom(geom).name]
     lowest = data.geom_xpos[soles, 2] - model.geom_size[soles, 0]
@@ -220,9 +228,8 @@ def test_left_is_y_and_both_sides_mirror_each_other(
         low, high = model.joint(name).range
         pose[here] = rng.uniform(low, high)
         mirrored[twin] = pose[here] * (1 if name.endswith(("y", "ry")) else -1)
-    points, reflected = (
-        Landmarks(model, atlas.SKELETON).points(placed(model, qpos)) for qpos in (pose, mirrored)
-    )
+    ids = Landmarks(model, atlas.SKELETON).ids
+    points, reflected = (placed(model, qpos).xpos[ids] for qpos in (pose, mirrored))
     swap = [POINTS.index(_other_side(point)) for point in POINTS]
     np.testing.assert_allclose(reflected[swap] * (1, -1, 1), points, atol=1e-5)
     left = points[POINTS.index("left_hip"), 1] - points[POINTS.index("right_hip"), 1]
@@ -232,7 +239,7 @@ def test_left_is_y_and_both_sides_mirror_each_other(
 def test_links_of_both_sides_weigh_and_collide_alike(body: MujocoBody, model: mujoco.MjModel):
     data = placed(model, body.standing_pose)
     flip = np.diag([1.0, -1.0, 1.0])
-    for name in (n for n in atlas.constants()["links"] if n.startswith("l_")):
+    for name in (n for n in PUBLISHED["links"] if n.startswith("l_")):
         left, right = (data.body(n).id for n in (name, _twin(name)))
         np.testing.assert_allclose(data.xipos[left] @ flip, data.xipos[right], atol=1e-5)
         tensors = []
@@ -276,9 +283,28 @@ def test_features_of_the_standing_pose_by_hand(body: MujocoBody, model: mujoco.M
     assert found["left_hand_y"] > 0.3 and found["left_hand_z"] < -0.3  # beside the hips
 
 
-def test_the_file_names_its_source_and_licence():
-    source = atlas.constants()["source"]
-    assert "Roboschool" in source and "MIT" in source
+def test_the_limit_of_the_ankles_is_the_robots_own():
+    joints = PUBLISHED["joints"]
+    limits = [joints[name]["limit"] for name in ANKLES]
+    assert min(min(-limit["lower"], limit["upper"]) for limit in limits) == 0.7
+
+
+def test_every_published_shape_is_there(model: mujoco.MjModel):
+    for name, link in PUBLISHED["links"].items():
+        own = [geom for geom in range(model.ngeom) if not model.geom(geom).name]
+        own = [geom for geom in own if model.geom_bodyid[geom] == model.body(name).id]
+        for geom, shape in zip(own, link["collision"], strict=True):
+            kind = mujoco.mjtGeom(model.geom_type[geom]).name
+            assert kind == f"mjGEOM_{shape['shape'].upper()}"
+            sides = shape.get("size") or [2 * shape["radius"], shape.get("length", 0.0)]
+            size = np.array(sides) / 2
+            np.testing.assert_allclose(model.geom_size[geom][: len(size)], size, rtol=1e-5)
+            np.testing.assert_allclose(model.geom_pos[geom], shape["xyz_m"], atol=1e-6)
+
+
+def test_the_source_and_the_licence_are_told():
+    for text in (PUBLISHED["source"], atlas.__doc__ or ""):
+        assert "Roboschool" in text and "MIT" in text
 
 
 def _twin(name: str) -> str:

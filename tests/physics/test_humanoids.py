@@ -10,10 +10,11 @@ import pytest
 from dm_control import suite
 
 from silem import bodies
-from silem.bodies import humanoid
+from silem.bodies import MujocoBody, humanoid
 from silem.envs import BatchedEnv, SingleEnv, make_vec
-from silem.envs.mujoco import Simulation, body_of, observe, stepped_model
-from silem.motion.features import FEATURES, Landmarks, g
+from silem.envs.mujoco import Simulation, observe, stepped_model
+from silem.motion.features import FEATURES, Landmarks, skeletal_features
+from silem.motion.kinematics import observe as seen
 from silem.util.errors import SilemError
 
 ARM = ("upper_arm", "lower_arm", "hand")
@@ -133,12 +134,11 @@ def test_features_beside_the_observation_are_g_of_the_state():
     env.reset()
     for action in actions(10, 3):
         *_, infos = env.step(action)
-    simulation = env.simulation
-    landmarks = Landmarks(simulation.model, env.body.skeleton)
-    for index in range(3):
-        expected = g(simulation.model, simulation.data(index), landmarks)
-        np.testing.assert_allclose(infos[index]["skeletal_features"], expected, atol=1e-6)
-        assert infos[index]["skeletal_features"].shape == (len(FEATURES),)
+    now = env.simulation
+    expected = skeletal_features(*seen(now.model, env.body.skeleton, now.qpos, now.qvel))
+    found = np.array([info["skeletal_features"] for info in infos])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert found.shape == (3, len(FEATURES))
 
 
 def test_a_seed_fixes_everything_whatever_happened_before():
@@ -284,7 +284,7 @@ def test_bad_input_is_refused():
         with pytest.raises(SilemError, match="speed_m_s must be a finite number above 0, not 0"):
             make("Humanoid", speed_m_s=0)
     with pytest.raises(SilemError, match="'HC0' is simulated by bullet, not by mujoco"):
-        body_of("HC0")
+        bodies.of_kind("HC0", MujocoBody)
     with pytest.raises(SilemError, match="arm scaled by -1"):
         humanoid.model(left_arm=-1)
     single = SingleEnv("Humanoid", render_mode="rgb_array")
@@ -330,7 +330,7 @@ def test_the_batch_steps_bit_for_bit_as_mj_step_does(name: str):
     for index, data in enumerate(singles):
         np.testing.assert_array_equal(reading.qpos[index], data.qpos)
         np.testing.assert_array_equal(reading.qvel[index], data.qvel)
-        np.testing.assert_array_equal(reading.points[index], landmarks.points(data))
+        np.testing.assert_array_equal(reading.points[index], data.xpos[landmarks.ids])
         np.testing.assert_array_equal(reading.com_velocity[index], data.subtree_linvel[1])
     assert np.ptp(reading.head_m) > 0.01
     mujoco.mj_step(model, singles[0])  # a whole step more is another state

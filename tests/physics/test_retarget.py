@@ -15,7 +15,7 @@ from silem.bodies.body import MujocoBody, Skeleton
 from silem.motion import kinematics, retargeted, retargeting
 from silem.motion.demonstrations import Demonstrations
 from silem.motion.demonstrator import Motion, published_motion
-from silem.motion.features import FEATURES, POINTS, Landmarks, g
+from silem.motion.features import FEATURES, POINTS, skeletal_features
 from silem.motion.kinematics import Soles
 from silem.motion.retargeting import (
     BODIES,
@@ -51,11 +51,7 @@ def motion_of(result: IKResult) -> Motion:
     """Return a retargeted motion as if its body had been the demonstrator."""
     body = learner(result.body)
     model = compiled(body)
-    data, landmarks = mujoco.MjData(model), Landmarks(model, body.skeleton)
-    axes = []
-    for data.qpos[:] in result.qpos:
-        mujoco.mj_kinematics(model, data)
-        axes.append(landmarks.torso_axes(data))
+    _, axes, _ = kinematics.observe(model, body.skeleton, result.qpos, result.qvel)
     return Motion(
         name=f"{result.motion} on {result.body}",
         rate_hz=result.rate_hz,
@@ -220,10 +216,8 @@ def test_the_same_motion_gives_the_same_arrays(human):
 def test_targets_keep_the_demonstrators_stance_and_proportions(human):
     body = bodies.get("Humanoid")
     model = compiled(body)
-    data, landmarks = mujoco.MjData(model), Landmarks(model, body.skeleton)
-    data.qpos[:] = body.standing_pose
-    mujoco.mj_kinematics(model, data)
-    points = landmarks.points(data)
+    standing = np.array([body.standing_pose]), np.zeros((1, model.nv))
+    (points,), _, _ = kinematics.observe(model, body.skeleton, *standing)
     wanted = targets(human, body)
     lengths = Limbs.of(points)
     # By hand, from humanoid.xml: thigh and shin; upper and lower arm; pelvis to torso.
@@ -275,11 +269,8 @@ def test_published_states_and_features_belong_together(name):
     assert qpos.shape == (len(features), model.nq) and qvel.shape == (len(features), model.nv)
     assert demonstrations.body == name and demonstrations.n_features == len(FEATURES)
     np.testing.assert_allclose(qvel, kinematics.velocities(model, qpos, 40.0), atol=1e-9)
-    data, landmarks = mujoco.MjData(model), Landmarks(model, body.skeleton)
-    for frame in (0, 30, -1):
-        data.qpos[:], data.qvel[:] = qpos[frame], qvel[frame]
-        mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(g(model, data, landmarks), features[frame], atol=1e-5)
+    seen = kinematics.observe(model, body.skeleton, qpos, qvel)
+    np.testing.assert_allclose(skeletal_features(*seen), features, atol=1e-5)
 
 
 def test_what_is_published_is_what_retargeting_gives(human):

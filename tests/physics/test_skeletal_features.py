@@ -9,7 +9,8 @@ import pytest
 from silem import bodies
 from silem.bodies.body import Skeleton
 from silem.motion import demonstrator
-from silem.motion.features import FEATURES, POINTS, Landmarks, g, skeletal_features
+from silem.motion.features import FEATURES, POINTS, Landmarks, skeletal_features
+from silem.motion.kinematics import observe
 from silem.util.errors import SilemError
 
 NAMES = [feature.name for feature in FEATURES]
@@ -23,6 +24,12 @@ def feature(features: np.ndarray, name: str) -> np.ndarray:
     return np.stack([feature(features, f"{name}_{axis}") for axis in "xyz"], axis=-1)
 
 
+def g(model: mujoco.MjModel, data: mujoco.MjData, skeleton: Skeleton) -> np.ndarray:
+    """The features (F,) of a state."""
+    seen = observe(model, skeleton, data.qpos[None], data.qvel[None])
+    return skeletal_features(*seen)[0]
+
+
 class Posed:
     """A body that can be put into a pose and asked for its features."""
 
@@ -34,16 +41,16 @@ class Posed:
             self.model = mujoco.MjModel.from_xml_string(body.model_xml())
             self.skeleton = body.skeleton
         self.data = mujoco.MjData(self.model)
-        self.landmarks = Landmarks(self.model, self.skeleton)
         mujoco.mj_forward(self.model, self.data)
-        self.forward, self.left, self.up = self.landmarks.torso_axes(self.data)
+        landmarks = Landmarks(self.model, self.skeleton)
+        self.forward, self.left, self.up = landmarks.oriented(self.data.xmat[landmarks.torso])
 
     def features(self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None):
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.model.qpos0 if qpos is None else qpos
         self.data.qvel[:] = 0 if qvel is None else qvel
         mujoco.mj_forward(self.model, self.data)
-        return g(self.model, self.data, self.landmarks)
+        return g(self.model, self.data, self.skeleton)
 
     def point(self, name: str) -> np.ndarray:
         return self.data.body(getattr(self.skeleton, name)).xpos
@@ -82,7 +89,7 @@ STICK = {  # points in a torso frame that is forward, left, up
 }
 
 
-def stick_figure(axes: str) -> tuple[mujoco.MjModel, Landmarks]:
+def stick_figure(axes: str) -> tuple[mujoco.MjModel, Skeleton]:
     """A rigid figure of one kg at the head, whose torso frame is labelled as ``axes`` says."""
     columns = np.argsort(["xyz".index(axis) for axis in axes])
     mass = '<geom type="sphere" size="0.01" mass="1"/>'
@@ -94,12 +101,12 @@ def stick_figure(axes: str) -> tuple[mujoco.MjModel, Landmarks]:
     )
     xml = f"<mujoco><worldbody><body name='torso'><freejoint/>{parts}</body></worldbody></mujoco>"
     model = mujoco.MjModel.from_xml_string(xml)
-    return model, Landmarks(model, Skeleton(**{name: name for name in STICK}, axes=axes))
+    return model, Skeleton(**{name: name for name in STICK}, axes=axes)
 
 
 @pytest.mark.parametrize("axes", ["xyz", "zxy"])
 def test_a_stick_figure_has_the_features_worked_out_by_hand(axes: str) -> None:
-    model, landmarks = stick_figure(axes)
+    model, skeleton = stick_figure(axes)
     data = mujoco.MjData(model)
     # The figure stands 1.2 m high, then turns left by 90 degrees: forward is the world's y.
     upright = np.eye(3)[["xyz".index(axis) for axis in axes]]  # rows: forward, left, up
@@ -108,7 +115,7 @@ def test_a_stick_figure_has_the_features_worked_out_by_hand(axes: str) -> None:
     mujoco.mju_mat2Quat(data.qpos[3:7], turned.flatten())
     data.qvel[:3] = -0.5, 1.5, 0.1
     mujoco.mj_forward(model, data)
-    features = g(model, data, landmarks)
+    features = g(model, data, skeleton)
     for name in ("left_hand", "right_hand", "left_foot", "right_foot"):
         assert np.allclose(feature(features, name), STICK[name], atol=1e-6), name
     assert feature(features, "left_elbow") == pytest.approx(np.pi / 2)
@@ -122,11 +129,11 @@ def test_a_stick_figure_has_the_features_worked_out_by_hand(axes: str) -> None:
 
 def test_a_wrong_label_of_the_torsos_axes_is_noticed() -> None:
     """The negative control of the test above."""
-    model, landmarks = stick_figure("zxy")
+    model, skeleton = stick_figure("zxy")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    right = g(model, data, landmarks)
-    wrong = g(model, data, Landmarks(model, Skeleton(**{name: name for name in STICK})))
+    right = g(model, data, skeleton)
+    wrong = g(model, data, Skeleton(**{name: name for name in STICK}))
     assert not np.allclose(feature(right, "left_hand"), feature(wrong, "left_hand"), atol=0.1)
 
 

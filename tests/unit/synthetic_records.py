@@ -14,7 +14,7 @@ from silem.algorithms import PPO
 from silem.envs import make_vec
 from silem.motion.features import FEATURES
 from silem.study.config import RunConfig
-from silem.study.record import MAX_ROWS, POLICY, RunRecord, curve_csv, curve_row
+from silem.study.runs import MAX_ROWS, POLICY, RunRecord, curve_csv, curve_row
 from silem.study.studies import study_configs
 from silem.study.training import settings
 from silem.util import files, paths
@@ -107,12 +107,10 @@ def write_record(
         training={
             "n_steps": 0 if config.method == "random" else config.budget.n_steps,
             "steps_per_s": None if config.method == "random" else 2400.0,
-            "disc_reward_last": disc_reward if imitates else None,
         },
         provenance={
             "git_commit": commit,
             "git_dirty": False,
-            "environment_sha256": "0" * 64,
             "packages": {},
             "python": "3.11",
             "earlier_commits": [],
@@ -221,7 +219,7 @@ def study(case: str) -> pytest.MarkDecorator:
 
 def with_policy(record: RunRecord) -> RunRecord:
     """Give a made-up record an untrained policy."""
-    config = record.run_config()
+    config = record.run_config
     env = make_vec(config.body, n_envs=1)
     model = PPO("MlpPolicy", env, **settings(config.body, "ppo"))
     env.close()

@@ -25,7 +25,7 @@ from silem.motion import demonstrator, retargeting
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, submit, verify, work
 from silem.study.config import RunConfig
-from silem.study.record import CURVE_COLUMNS, RECORD, RunRecord, curve_csv, curve_row
+from silem.study.runs import CURVE_COLUMNS, RECORD, RunRecord, curve_csv, curve_row
 from silem.study.training import Checkpoint
 from silem.util import files
 from silem.util.errors import SilemError

@@ -61,7 +61,7 @@ def test_defaults_and_the_supplements_combinations_are_filled_in() -> None:
         "HC0",
         "affine",
     )
-    best = paper.best_combination("HC2", "silem", "HC0")
+    best = paper.best_combination("HC2", "silem", "HC0")[0]
     assert {name: getattr(silem.hyper, name) for name in best} == best
     # HC0's expert demonstrates in both cells, with other best combinations.
     own, usual = create("HC0", "silem-minus-own"), create("HC0", "silem-minus")
@@ -161,6 +161,15 @@ def test_a_damaged_configuration_is_refused() -> None:
             RunConfig.from_dict(bad)
 
 
+def test_a_values_source_is_the_table_that_it_is_from() -> None:
+    for method, expert, table in (
+        ("silem-minus", "HC1", "tab4.3"),
+        ("silem-minus", "HC0", "tab4.2"),
+    ):
+        settings = create("HC1", method, expert).settings()
+        assert settings["n_trajectories"].source == f"supplement, {table}, HC1"
+
+
 def test_humanoids_take_the_supplements_settings() -> None:
     for body in ("Humanoid", "HumanoidR", "Atlas"):
         for method in ("silem", "silem-minus", "tpil", "peng20"):
@@ -168,7 +177,7 @@ def test_humanoids_take_the_supplements_settings() -> None:
             assert hyper.learning_rate == common["learning_rate"] == 1e-4
             assert (hyper.clip_range, hyper.minibatch_size) == (0.1, 256)
             assert (hyper.policy_hidden, hyper.disc_hidden) == ((256, 256), (128, 128))
-            best = paper.best_combination(body, method)
+            best = paper.best_combination(body, method)[0]
             settings = create(body, method).settings()
             assert {name: settings[name].value for name in best} == best
     atlas = create("Atlas", "silem").hyper

@@ -21,8 +21,7 @@ from silem.report import film, notebook
 from silem.report.film import Clip
 from silem.study.config import RunConfig
 from silem.study.evaluate import load_policy
-from silem.study.record import TRANSFORM
-from silem.study.runs import run
+from silem.study.runs import TRANSFORM, run
 from silem.study.settings import BUDGETS
 from silem.util import files, paths
 from silem.util.errors import SilemError

@@ -8,7 +8,7 @@ import pytest
 from silem.envs import bullet, make_vec
 from silem.motion.demonstrations import Demonstrations
 from silem.report.transforms import feature_names
-from silem.study import demonstrate
+from silem.study import evaluate
 from silem.util.errors import SilemError
 
 NAMES = feature_names("HC0")
@@ -22,8 +22,8 @@ def states(n: int = 10, **values: float | list[float]) -> np.ndarray:
     return features
 
 
-def measured(*features: np.ndarray, returns: tuple[float, ...] = ()) -> demonstrate.Gait:
-    return demonstrate.gait(Demonstrations(features, returns, "HC0"))
+def measured(*features: np.ndarray, returns: tuple[float, ...] = ()) -> evaluate.Gait:
+    return evaluate.gait(Demonstrations(features, returns, "HC0"))
 
 
 def test_speed_is_the_forward_velocity_in_metres_per_second() -> None:
@@ -42,7 +42,7 @@ def test_pitch_is_taken_over_all_states_and_roll_is_not_it() -> None:
 def test_joints_are_at_their_limits_beyond_99_hundredths_on_either_side() -> None:
     angle = [0.995, -0.995, 0.985, -0.985, 0, 0, 0, 0, 0, 0]
     shown = states(back_thigh_angle=angle, front_foot_angle=[1, 0, 0, 0, 0, 0, 0, 0, 0, -1])
-    counts = demonstrate.joints_at_limit(shown, "HC0")
+    counts = evaluate.joints_at_limit(shown, "HC0")
     assert counts.tolist() == [2, 1, 0, 0, 0, 0, 0, 0, 0, 1]
     assert measured(shown).limit_share == pytest.approx(0.3)
     assert measured(shown).joints_at_limit == pytest.approx(0.4)
@@ -51,7 +51,7 @@ def test_joints_are_at_their_limits_beyond_99_hundredths_on_either_side() -> Non
 
 
 def test_the_limit_is_the_one_that_the_task_charges() -> None:
-    assert bullet.AT_LIMIT == demonstrate.AT_LIMIT
+    assert bullet.AT_LIMIT == evaluate.AT_LIMIT
     env = make_vec("HC0", n_envs=1, seed=0)
     env.reset()
     joints = env.body.motors
@@ -60,19 +60,19 @@ def test_the_limit_is_the_one_that_the_task_charges() -> None:
     env.close()
     by_name = [features[0, NAMES.index(name)] for name in NAMES if name.endswith("angle")]
     expected = sum(abs(angle) > 0.99 for angle in by_name)
-    assert demonstrate.joints_at_limit(features, "HC0").tolist() == [expected]
+    assert evaluate.joints_at_limit(features, "HC0").tolist() == [expected]
     assert expected > 0
 
 
 def test_an_episode_failed_if_it_returns_less_than_half_of_the_median() -> None:
-    assert demonstrate.failed(np.array([2000.0, 2100, 999, 2000])).tolist() == [
+    assert evaluate.failed(np.array([2000.0, 2100, 999, 2000])).tolist() == [
         False,
         False,
         True,
         False,
     ]
-    assert not demonstrate.failed(np.array([-100.0, -140, -120])).any()
-    assert demonstrate.failed(np.array([-100.0, -100, -151])).tolist() == [False, False, True]
+    assert not evaluate.failed(np.array([-100.0, -140, -120])).any()
+    assert evaluate.failed(np.array([-100.0, -100, -151])).tolist() == [False, False, True]
     shown = measured(*[states()] * 3, returns=(2000.0, 600.0, 2100.0))
     assert (shown.return_worst, shown.n_failed) == (600.0, 1)
     assert measured(states())[-2:] == (None, None)
@@ -80,6 +80,6 @@ def test_an_episode_failed_if_it_returns_less_than_half_of_the_median() -> None:
 
 def test_what_has_no_gait_is_refused() -> None:
     with pytest.raises(SilemError, match="not on Humanoid"):
-        demonstrate.joints_at_limit(np.zeros((3, 23)), "Humanoid")
+        evaluate.joints_at_limit(np.zeros((3, 23)), "Humanoid")
     with pytest.raises(SilemError, match="7 features, HC0 has 26"):
-        demonstrate.joints_at_limit(np.zeros((3, 7)), "HC0")
+        evaluate.joints_at_limit(np.zeros((3, 7)), "HC0")

@@ -16,11 +16,11 @@ from silem.motion.demonstrations import Demonstrations
 from silem.report import results, style
 from silem.report.pages import gaits
 from silem.report.transforms import feature_names
-from silem.study import demonstrate as recording
+from silem.study import evaluate as recording
 from silem.study import runs
 from silem.study.config import RunConfig
-from silem.study.demonstrate import demonstrate, describe, experts
-from silem.study.studies import study_configs
+from silem.study.evaluate import demonstrate, describe
+from silem.study.studies import experts, study_configs
 
 PITCHES = {"HC0_s0": 0.4, "HC0_s1": 0.0, "HC0_s2": 0.3, "HC0_s3": 0.2, "HC0_s4": 0.1}
 

@@ -11,7 +11,7 @@ import pytest
 import synthetic_records as synthetic
 
 from silem.report import film, notebook, results
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.study.studies import study_configs
 
 

@@ -7,7 +7,6 @@ import pytest
 from drawn import assert_readable, texts
 
 from silem import bodies
-from silem.envs.mujoco import body_of
 from silem.motion.demonstrator import published_motion
 from silem.report import film
 from silem.report.pages import humanoids
@@ -160,7 +159,7 @@ def test_gaps_are_between_learner_and_demonstrator() -> None:
 
 
 def test_a_standing_atlas_lets_its_arms_hang() -> None:
-    atlas = body_of("Atlas")
+    atlas = bodies.of_kind("Atlas", bodies.MujocoBody)
     distances = humanoids.limb_distances_m(atlas, atlas.standing_pose)
     assert distances["left_hand"] == pytest.approx(0.62, abs=0.005)
 

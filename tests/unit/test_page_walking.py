@@ -20,7 +20,7 @@ from silem.report.pages import open_settings as search
 from silem.report.pages import walking
 from silem.study.config import RunConfig
 from silem.study.evaluate import EVALUATION_SEED, Episode
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.study.studies import cells
 
 

@@ -20,9 +20,8 @@ from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, settings, training
 from silem.study.config import RunConfig
-from silem.study.demonstrate import demonstrate
-from silem.study.evaluate import RandomPolicy, evaluate, load_policy
-from silem.study.record import (
+from silem.study.evaluate import RandomPolicy, demonstrate, evaluate, load_policy
+from silem.study.runs import (
     CHECKPOINT,
     CURVE,
     CURVE_COLUMNS,
@@ -122,7 +121,7 @@ def test_what_a_run_leaves(finished: dict[str, RunRecord]) -> None:
     assert not finished["random"].files
     for record in finished.values():
         assert RunRecord.load(record.folder) == record
-        assert record.run_config().run_id == record.run_id
+        assert record.run_config.run_id == record.run_id
         assert len(record.evaluation["returns"]) == record.evaluation["n_episodes"] == 2
         text = (record.folder / RECORD).read_text()
         for private in (str(paths.REPO), str(record.folder), socket.gethostname()):
@@ -331,6 +330,7 @@ def test_evidence_is_published_and_found_without_the_working_files(
     record = runs.run(config, progress=False)
     published = paths.results_dir("halfcheetah") / config.run_id
     assert sorted(os.listdir(published)) == sorted([CURVE, POLICY, RECORD])
+    assert sorted(os.listdir(runs.run_folder(config))) == [CHECKPOINT, runs.LOCK]
     shutil.rmtree(paths.runs_dir())
     assert runs.run(config, progress=False) == record
     assert not paths.runs_dir().exists()
@@ -367,7 +367,7 @@ def test_demonstrations_of_an_expert(
     (path.parent / ".HC0.npz.1.tmp").touch()
     demonstrate(finished["ppo"], 1)
     assert manifest.read_text() == whole
-    assert not files.leftovers(path.parent)
+    assert not list(path.parent.glob(".*.tmp"))
     with pytest.raises(SilemError, match="no expert's run"):
         demonstrate(finished["silem"], 1)
 
@@ -413,12 +413,11 @@ def test_leftovers_of_a_killed_run_go_with_the_next_call(
     config = small("random", name="book")
     monkeypatch.setitem(settings.BUDGETS, "book", config.budget)
     folders = (runs.run_folder(config), paths.results_dir(config.study) / config.run_id)
-    for _ in range(2):  # before the run is finished, and after
-        for folder in folders:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / ".curve.csv.123.tmp").touch()
-        runs.run(config, progress=False)
-        assert not any(files.leftovers(folder) for folder in folders)
+    for folder in folders:
+        folder.mkdir(parents=True)
+        (folder / ".curve.csv.123.tmp").touch()
+    runs.run(config, progress=False)
+    assert [os.listdir(folder) for folder in folders] == [[runs.LOCK], [RECORD]]
 
 
 @pytest.mark.parametrize("run_id", ["*", "../*", "", ".", "a/b", "x" * 300, "x\0", None, 5])

@@ -18,7 +18,7 @@ import pytest
 
 from silem.cli import main
 from silem.study import runs
-from silem.study.record import CHECKPOINT, RECORD
+from silem.study.runs import CHECKPOINT, RECORD
 from silem.study.submit import ENGINES, Options, submission, submit
 from silem.util import files, paths
 from silem.util.errors import SilemError
@@ -51,16 +51,16 @@ def wait_for(what: str, happened: object, seconds: float = 240.0) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("jobs = 3\nqueue = 'long'", r"line 2: unknown option 'queue'; allowed: jobs, minutes"),
-        ("jobs = 3\n\nminutes = 0", r"line 3: minutes must be like 240 \(no number below 1"),
-        ("jobs = '3'", "line 1: jobs must be like 4"),
-        ("jobs = true", "line 1: jobs must be like 4"),
-        ("setup = 'module load python'", "line 1: setup must be like"),
-        ("lines = ['#SBATCH -p x', 3]", "line 1: lines must be a list of lines"),
+        ("jobs = 3\nqueue = 'long'", r"toml: unknown option 'queue'; allowed: jobs, minutes"),
+        ("jobs = 3\n\nminutes = 0", r"toml: minutes must be like 240 \(no number below 1"),
+        ("jobs = '3'", "toml: jobs must be like 4"),
+        ("jobs = true", "toml: jobs must be like 4"),
+        ("setup = 'module load python'", "toml: setup must be like"),
+        ("lines = ['#SBATCH -p x', 3]", "toml: lines must be a list of lines"),
         ("jobs = 3\nx y", r"cannot read .*at line 2"),
     ],
 )
-def test_bad_options_are_told_by_key_and_line(tmp_path: Path, text: str, message: str) -> None:
+def test_bad_options_are_told_by_file_and_key(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "cluster.toml"
     path.write_text(text)
     with pytest.raises(SilemError, match=message):

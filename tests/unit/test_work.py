@@ -18,18 +18,23 @@ import synthetic_records as synthetic
 from silem import paper
 from silem.cli import main
 from silem.motion import demonstrations
+from silem.report import results
 from silem.report.pages.open_settings import travel_allowed
-from silem.study import demonstrate, runs, work
+from silem.study import evaluate as recording
+from silem.study import runs, work
 from silem.study.config import RunConfig
 from silem.study.evaluate import RandomPolicy, evaluate
-from silem.study.record import CHECKPOINT, PROGRESS, RECORD
+from silem.study.runs import CHECKPOINT, PROGRESS, RECORD
 from silem.study.settings import BUDGETS
 from silem.study.studies import (
     SEARCH_SEEDS,
     SLOPES_DEG,
+    STUDIES,
     TORSOS,
     TRIAL_SEEDS,
+    Study,
     cells,
+    experts,
     fresh_configs,
     ranking,
     study_configs,
@@ -63,7 +68,7 @@ def test_the_ant_studys_cells_are_those_of_figure_2d() -> None:
         own = config.method == "silem-minus-own"
         if config.method not in ("ppo", "random"):
             assert config.demonstrations == (config.body if own else "Ant0")
-            best = paper.best_combination(config.body, config.method, config.demonstrations)
+            best = paper.best_combination(config.body, config.method, config.demonstrations)[0]
             assert {name: getattr(config.hyper, name) for name in best} == best
     small = study_configs("ant-absorbing", "book", 1)
     assert {(c.method, c.body) for c in small} == {
@@ -78,12 +83,12 @@ def test_a_ladder_has_experts_of_its_own_and_one_combination() -> None:
     assert len(configs) == (8 * 5 + 1) * 2
     for body in TORSOS:
         own = [c for c in configs if c.body == body and c.method == "ppo"]
-        assert demonstrate.experts(body, "book") == own and {c.seed for c in own} == {0, 1}
-        assert [c.run_id for c in demonstrate.experts(body, "book", 1)] == [own[1].run_id]
+        assert experts(body, "book") == own and {c.seed for c in own} == {0, 1}
+        assert [c.run_id for c in experts(body, "book", 1)] == [own[1].run_id]
         needs = next(c for c in configs if c.demonstrations == body)
         assert work.experts_of(needs) == own
-    assert {c.study for c in demonstrate.experts("HC2", "book")} == {"halfcheetah"}
-    assert {c.study for c in demonstrate.experts("HC0-slope-5", "book")} == {"halfcheetah"}
+    assert {c.study for c in experts("HC2", "book")} == {"halfcheetah"}
+    assert {c.study for c in experts("HC0-slope-5", "book")} == {"halfcheetah"}
     # the paper has other combinations for HC1 and HC2, which are as long as two of these
     hyper = {c.hyper for c in study_configs("halfcheetah", "book") if c.method == "silem"}
     ladder = {c.hyper for c in configs if c.method == "silem"}
@@ -121,7 +126,7 @@ def test_a_search_runs_the_supplements_grid_its_best_first() -> None:
     whole = study_configs("halfcheetah/HC2/silem", "quick", 1)
     grid = paper.grid_values("tab4")
     assert len({c.run_id for c in whole}) == math.prod(len(values) for values in grid.values())
-    best = paper.best_combination("HC2", "silem", "HC0")
+    best = paper.best_combination("HC2", "silem", "HC0")[0]
     assert {name: getattr(whole[0].hyper, name) for name in best} == best
     sample = study_configs("halfcheetah/HC2/silem", "quick", 2, 24)
     assert sample[:24] == whole[:24]
@@ -148,7 +153,6 @@ def test_a_search_is_ranked_by_the_mean_over_its_trials() -> None:
     assert means == [400, 350, 300]
     assert [entry.is_papers for entry in found] == [True, False, False]
     assert [entry.score for entry in found] == sorted([e.score for e in found], reverse=True)
-    assert found[0].run_ids == (configs[0].run_id, configs[4].run_id)
 
 
 def test_a_searchs_winner_is_run_again_on_seeds_that_have_not_chosen_it() -> None:
@@ -208,7 +212,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         publish(b"")
 
     monkeypatch.setattr(work.runs, "run", run)
-    monkeypatch.setattr(work.demonstrate, "demonstrate", demonstrate)
+    monkeypatch.setattr(recording, "demonstrate", demonstrate)
     monkeypatch.setattr(work, "_POLL_S", 0.0)
     return order
 
@@ -364,6 +368,22 @@ def test_status_tells_who_works_where_and_how_long_the_rest_takes() -> None:
     assert f"{configs[1].run_id} 200/800, return 512 ({os.getpid()}@" in line
     # 420 s for each of 12 that are missing and learn, and what the one at work still needs
     assert told[-1] == "left: 15 of 16 runs, 1.4 hours for one worker at the speed measured"
+
+
+def test_a_study_without_cells_has_nothing_to_do(
+    made: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As long as what its cells are is not decided."""
+    monkeypatch.setitem(STUDIES, "open", Study((), TRIAL_SEEDS, "to be decided"))
+    assert main(["status", "open"]) == 0
+    assert "left: 0 of 0 runs" in capsys.readouterr().out
+    assert main(["work", "open", "--quiet"]) == 0 and made == []
+    assert main(["submit", "open", "--on", "slurm", "--print"]) == 0
+    for request in ("search open/HC0/silem", "work open --body HC0"):
+        assert main(request.split()) == 2
+        assert "allowed: none" in capsys.readouterr().err
+    frame = results.load_records("open", "tiny")
+    assert len(frame) == 0 and "0 runs" in results.trace(frame).data
 
 
 def test_locks_that_do_not_hold_are_told(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

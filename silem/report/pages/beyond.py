@@ -97,7 +97,7 @@ def arms(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
     """Return what SILEM's policies return on right arms of several lengths, a row per run."""
     rows = {"no run": dict.fromkeys(ARMS, np.nan)} if frame.empty else {}
     for record in map(results.find, frame["run_id"]):
-        config, policy, row = record.run_config(), load_policy(record), {}
+        config, policy, row = record.run_config, load_policy(record), {}
         for factor in ARMS:
             body = f"Humanoid-arm-{factor:g}"
             row[factor] = evaluate(policy, body, n_episodes, **task_options(config)).return_mean

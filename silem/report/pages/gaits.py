@@ -20,12 +20,11 @@ from silem.motion.demonstrations import Demonstrations, entry, file_of
 from silem.report import film, results, scores, style, tables
 from silem.report.style import number
 from silem.report.transforms import feature_groups
-from silem.study import demonstrate, runs
-from silem.study.demonstrate import experts, trial_name
+from silem.study import evaluate, runs
 from silem.study.evaluate import load_policy, record_episodes
-from silem.study.record import RunRecord
+from silem.study.runs import RunRecord
 from silem.study.settings import expert_of
-from silem.study.studies import BOTH
+from silem.study.studies import BOTH, experts
 from silem.util.errors import SilemError, choose
 
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
@@ -38,7 +37,7 @@ class ExpertGait(NamedTuple):
 
     record: RunRecord
     demonstrations: Demonstrations
-    gait: demonstrate.Gait
+    gait: evaluate.Gait
 
 
 Shown = dict[str, ExpertGait | None]
@@ -56,14 +55,14 @@ def load(body: str, budget: str, n_trajectories: int) -> Shown:
         name = f"{body}_s{config.seed}"
         shown[name] = None
         if record := runs.find(config.run_id):
-            known = [n for n in (trial_name(record), body) if file_of(n).exists()]
+            known = [n for n in (name, body) if file_of(n).exists()]
             known = [n for n in known if entry(n)["expert_run_id"] == record.run_id]
             if known:
                 episodes = Demonstrations.load(known[0])
             else:
                 policy = load_policy(record)
                 episodes = record_episodes(policy, body, n_trajectories, run_id=record.run_id)
-            shown[name] = ExpertGait(record, episodes, demonstrate.gait(episodes))
+            shown[name] = ExpertGait(record, episodes, evaluate.gait(episodes))
     return shown
 
 
@@ -96,10 +95,10 @@ def trajectory(demonstrations: Demonstrations, duration_s: float = 2.0) -> Figur
 def chosen(body: str, budget: str) -> tuple[str, str]:
     """Return the demonstrator's name, "" until all experts are finished, and a sentence on it."""
     try:
-        record = demonstrate.demonstrator(body, budget)
+        record = runs.demonstrator(experts(body, budget))
     except SilemError as error:
         return "", f"No demonstrator yet: {error}."
-    return trial_name(record), (
+    return f"{body}_s{record.config['seed']}", (
         f"The demonstrator is trial {record.config['seed']}: of the"
         f" {len(experts(body, budget))} experts it has the highest evaluation return,"
         f" {number(record.evaluation['return_mean'])}."
@@ -118,7 +117,7 @@ def table(shown: Shown, demonstrator_name: str) -> Styler:
             row |= {
                 "return": f"{number(returns.mean())} ± {number(returns.std())}",
                 "worst episode": number(returns.min()),
-                "failed": f"{demonstrate.failed(returns).sum()} of {len(returns)}",
+                "failed": f"{evaluate.failed(returns).sum()} of {len(returns)}",
                 "failed, recorded": f"{g.n_failed} of {n}",
                 "speed (m/s)": number(evaluation["speed_m_s"], 2),
                 "pitch (rad)": f"{number(g.pitch_rad, 2)} ± {number(g.pitch_std_rad, 2)}",
@@ -174,7 +173,7 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
         if found is None:
             continue
         episodes = found.demonstrations.features
-        cut = np.concatenate([strides(demonstrate.pitch_rad(states)) for states in episodes])
+        cut = np.concatenate([strides(evaluate.pitch_rad(states)) for states in episodes])
         if len(cut):
             low, middle, high = np.quantile(cut, [0.1, 0.5, 0.9], axis=0)
             axes.fill_between(_PHASES, low, high, color=color, alpha=0.2, lw=0)

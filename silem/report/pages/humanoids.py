@@ -1,5 +1,6 @@
 """The page of the humanoids: Figure 3a, measures and distances, the reward's factors, falls."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,7 +15,7 @@ from silem.bodies import MujocoBody, describe
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.envs import mujoco as walking
-from silem.envs.mujoco import Reading, Simulation, body_of, start_state
+from silem.envs.mujoco import Reading, Simulation, start_state
 from silem.motion.demonstrator import Motion
 from silem.motion.features import POINTS, Landmarks
 from silem.motion.kinematics import SIDES
@@ -27,6 +28,7 @@ from silem.study.evaluate import RandomPolicy, evaluate
 from silem.util import seeding
 from silem.util.errors import SilemError
 
+_humanoid = functools.partial(bodies.of_kind, kind=MujocoBody)
 _N_POSES = 7
 _AZIMUTH_RAD = np.deg2rad(25.0)  # seen from the right and a little from the front, level
 _PORTRAIT = 480, 600  # pixels
@@ -101,13 +103,13 @@ def posed(
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    return data, Landmarks(model, body.skeleton).points(data)
+    return data, data.xpos[Landmarks(model, body.skeleton).ids]
 
 
 def overview(names: Sequence[str]) -> pd.DataFrame:
     """Return what humanoids measure, a row each: mass in kg, lengths and heights in m."""
     rows = {}
-    for body in map(body_of, names):
+    for body in map(_humanoid, names):
         limbs = Limbs.of(posed(body)[1])
         mass, head_m = describe(body.name)["total_mass_kg"], heights([body.name]).iloc[0, 0]
         arms = {"left arm (m)": limbs.left_arm, "right arm (m)": limbs.right_arm}
@@ -133,7 +135,7 @@ def strength() -> pd.DataFrame:
     for name, joints in zip(("Humanoid", "Atlas"), zip(*_ALIKE.values(), strict=True), strict=True):
         facts = describe(name)
         torques = np.array([facts["actuators"][joint] for joint in joints])
-        leg_m = Limbs.of(posed(body_of(name))[1]).leg
+        leg_m = Limbs.of(posed(_humanoid(name))[1]).leg
         table[f"{name} (N m)"] = torques.round().astype(int)
         shares[f"{name} (%)"] = 100 * torques / (facts["total_mass_kg"] * _GRAVITY_M_S2 * leg_m)
     return table.assign(**shares)
@@ -145,7 +147,7 @@ def heights(names: Sequence[str]) -> pd.DataFrame:
     head = POINTS.index("head")
     rows = [
         (posed(b, b.standing_pose)[1][head, 2], b.standing_head_m, b.fall_head_m)
-        for b in map(body_of, names)
+        for b in map(_humanoid, names)
     ]
     return pd.DataFrame(rows, names, columns).rename_axis("height of the head (m)")
 
@@ -161,7 +163,7 @@ def limb_distances_m(body: MujocoBody, qpos: Sequence[float] | None = None) -> d
 def limb_distances() -> dict[str, dict[str, float]]:
     """Return `limb_distances_m` of the demonstrator and the humanoids, all joints at zero."""
     found = {DEMONSTRATOR: limb_distances_m(film.man())}
-    return found | {n: limb_distances_m(body_of(n)) for n in bodies.names("humanoid")}
+    return found | {n: limb_distances_m(_humanoid(n)) for n in bodies.names("humanoid")}
 
 
 def distance_table(found: Mapping[str, Mapping[str, float]]) -> Styler:
@@ -197,7 +199,7 @@ def gaps() -> dict[str, float]:
 
 def trunk_distances() -> pd.DataFrame:
     """Return how far Atlas's feet and hands are from each part of its trunk, joints at zero, m."""
-    body = body_of("Atlas")
+    body = _humanoid("Atlas")
     data, _ = posed(body)
     trunk = np.array([data.body(part).xpos for part in _TRUNK])
     ends = {"feet (m)": body.skeleton.left_foot, "hands (m)": body.skeleton.left_hand}
@@ -208,7 +210,7 @@ def trunk_distances() -> pd.DataFrame:
 @style.applied()
 def reward_factors() -> Figure:
     """Draw the factors of the environments' own reward, each with the others at their best."""
-    body = bodies.of_kind("Humanoid", MujocoBody)
+    body = _humanoid("Humanoid")
     shown = {  # of the state: title, label, values, and how the axis shows them
         "head_m": ("Standing", "head's height (m)", 1.2 * body.standing_head_m, 1.0),
         "tilt_rad": ("Upright", "torso's tilt (degrees)", np.pi, np.rad2deg(1.0)),
@@ -255,7 +257,7 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
             f"duration_s = {duration_s}, torque = {torque}; allowed: above 0, and from 0 to 1"
         )
     clips = {}
-    for body in map(body_of, names):
+    for body in map(_humanoid, names):
         rng = np.random.default_rng(seeding.child_seed(seed, "fall", body.name))
         simulation = Simulation(body, 1)
         simulation.place(0, *start_state(rng, body))
@@ -271,7 +273,7 @@ def fall(names: Sequence[str], torque: float, duration_s: float, seed: int = 0) 
 def falls(names: Sequence[str], n_episodes: int, seed: int) -> pd.DataFrame:
     """Return how long humanoids stand without a policy, and what it earns: means over episodes."""
     rows: dict[str, dict[str, float]] = {}
-    for body in map(body_of, names):
+    for body in map(_humanoid, names):
         row = rows.setdefault(body.name, {})
         for label, std in (("no torques", 0.0), ("random torques", 1.0)):
             found = evaluate(RandomPolicy(body, std=std), body.name, n_episodes, seed)

@@ -76,7 +76,7 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     runs = pd.concat(frames).drop_duplicates("run_id")
     learned = transforms.learned(runs).set_index(["run_id", "body"])[["A", "b"]].astype(float)
     far = (learned - [1.0, 0.0]).abs().groupby(level=[0, 1], sort=False).max().reset_index()
-    configs = [results.find(run_id).run_config() for run_id in far["run_id"]]
+    configs = [results.find(run_id).run_config for run_id in far["run_id"]]
     return far.assign(allowed=[travel_allowed(c.hyper, c.budget.n_iterations) for c in configs])
 
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from silem.envs.mujoco import body_of
+from silem.bodies import MujocoBody, of_kind
 from silem.motion import retargeted
 from silem.motion import retargeting as ik
 from silem.motion.demonstrator import Motion
@@ -200,7 +200,7 @@ def starts(results: Sequence[IKResult]) -> pd.DataFrame:
     """Return what a SILEM run's body changes in the retargeted states to start from them."""
     rows = []
     for result in results:
-        body = body_of(RunConfig.create(result.body, "silem").learner)
+        body = of_kind(RunConfig.create(result.body, "silem").learner, MujocoBody)
         qpos, _ = ik.demonstration_states(retargeted(HUMAN, body.name), body)
         moved = np.abs(qpos - result.qpos)
         row = {"body": body.name, "states": len(qpos)}

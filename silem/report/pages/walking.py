@@ -88,7 +88,7 @@ def measured(frame: pd.DataFrame, n_episodes: int) -> pd.DataFrame:
     rows = {}
     for run_id in frame.loc[frame["n_steps"] > 0, "run_id"]:
         run = results.find(run_id)
-        config, policy = run.run_config(), load_policy(run)
+        config, policy = run.run_config, load_policy(run)
         rate_hz, task = 1 / config.learner.control_step_s, task_options(config)
         seen = episodes(policy, config.learner, n_episodes, EVALUATION_SEED, **task)
         rows[run_id] = pd.DataFrame([_measures(e.features, rate_hz) for e in seen]).mean()
