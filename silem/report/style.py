@@ -92,6 +92,13 @@ QUANTITIES = {
     "policy_std": Quantity("policy's standard deviation"),
     "wall_time_min": Quantity("wall time (min)", 1),
     "apart": Quantity("maps apart (%)", 0),
+    "step_hz": Quantity("steps/s"),
+    "stance_left": Quantity("stance, left"),
+    "stance_right": Quantity("stance, right"),
+    "clearance_m": Quantity("clearance (m)"),
+    "symmetry": Quantity("symmetry"),
+    "features": Quantity("from his features"),
+    "movement": Quantity("from his movement"),
 }
 """What is measured, by the columns of records, of their curves, and of what is made of them."""
 

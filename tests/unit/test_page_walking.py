@@ -108,7 +108,7 @@ def test_the_table_has_the_man_first_and_means_over_a_cells_trials(frame: pd.Dat
     assert float(statue["from his movement"]) > 0.5
     row = one[(one["body"] == "Humanoid") & (one["method"] == "SILEM")].iloc[0]
     assert (row["steps/s"], row["trials"]) == ("1.50", "2")
-    assert row["stance, L / R"] == "0.60 / –"
+    assert (row["stance, left"], row["stance, right"]) == ("0.60", "–")
 
 
 def test_measures_are_those_of_the_policys_episodes(

@@ -17,15 +17,6 @@ from silem.report.style import number
 from silem.study.studies import Ranked
 
 
-def _varied(ranked: Sequence[Ranked]) -> dict[str, list[Any]]:
-    """Return the settings that a search varies, each with its values in order."""
-    found = {
-        name: sorted({entry.settings[name] for entry in ranked})
-        for name in (ranked[0].settings if ranked else ())
-    }
-    return {name: values for name, values in found.items() if len(values) > 1}
-
-
 def table(ranked: Sequence[Ranked]) -> Styler:
     """Return the ranking: place, settings, score, trials, and what fresh seeds make of it."""
     rows = []
@@ -68,7 +59,8 @@ def says(ranked: Sequence[Ranked], n_planned: int) -> str:
 @style.applied()
 def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
     """Draw the score against each setting that was varied: configurations, and means by value."""
-    varied = _varied(ranked) or {"": []}
+    tried = pd.DataFrame([entry.settings for entry in ranked])
+    varied = {n: sorted(tried[n].unique()) for n in tried if tried[n].nunique() > 1} or {"": []}
     named = [tables.setting(name, "")[0] or title for name in varied]
     figure, grid = style.panels(named, 1.9, 3, sharey=True)
     dots: dict[str, Any] = {"color": style.method("silem").color, "alpha": 0.45, "mec": "none"}
