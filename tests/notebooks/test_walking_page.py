@@ -65,7 +65,7 @@ def test_walking(execute: Execute) -> None:
     assert [int(spoken[f"n_{name}"]) for name in ("cells", "walk", "fall")] == [3, 2, 1]
     for cell_id in FIGURES:
         assert output(page, cell_id).startswith("<svg"), cell_id
-    assert "Atlas SILEM 1 " in words(output(page, "walks"))
+    assert "Atlas SILEM falls 1 " in words(output(page, "walks"))
     assert "SILEM demonstration's states 1 " in words(output(page, "starts"))
     assert "2,000" in words(output(page, "long"))
     claimed = words(output(page, "claims"))
