@@ -24,9 +24,9 @@ from pandas.io.formats.style import Styler
 from silem import bodies, paper
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.report import results, statistics
+from silem.report import results, statistics, style
 from silem.report.statistics import NO_INTERVAL, Interval
-from silem.report.style import number
+from silem.report.style import METHODS, QUANTITIES, Quantity, number
 from silem.report.tables import small, styled
 from silem.study.settings import BUDGETS
 from silem.study.studies import cells
@@ -46,16 +46,6 @@ _GAP = "SILEM beats SILEM⁻"
 
 Cell = tuple[str, str]
 """A method and a body."""
-
-_NAMES = {
-    "silem": "SILEM", "silem-minus": "SILEM⁻", "silem-minus-own": "SILEM⁻ own",
-    "silem-mlp": "MLP", "tpil": "TPIL", "peng20": "Peng20", "ppo": "expert", "random": "random",
-}  # fmt: skip
-_QUANTITIES = {
-    "return_mean": ("return", 0), "returns": ("return", 0), "disc_reward": ("reward of D", 0),
-    "speed_m_s": ("speed (m/s)", 2), "upright": ("share of steps survived", 2),
-    "steps": ("steps of an episode", 0),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -81,12 +71,12 @@ class Measure:
     @property
     def digits(self) -> int:
         """Digits after the point when written."""
-        return 2 if self.per else _QUANTITIES.get(self.column, ("", 2))[1]
+        return 2 if self.per else self._quantity.digits
 
     @property
     def name(self) -> str:
         """What is measured, in words."""
-        name = _QUANTITIES.get(self.column, (f"mean of {self.column}", 2))[0]
+        name = self._quantity.heading
         if self.per:
             return "score" if name == "return" else f"{name.partition(' ')[0]} ratio"
         return f"difference in {name}" if self.less else name
@@ -94,11 +84,14 @@ class Measure:
     @property
     def rule(self) -> str:
         """What the bounds ask for, in words."""
-        low, high = (f"{bound:,.{self.digits}f}" for bound in (self.lower, self.upper))
+        low, high = (number(bound, self.digits) for bound in (self.lower, self.upper))
         if np.isfinite([self.lower, self.upper]).all():
-            return f"{self.name} from {low} to {high}".replace("-", "−")
-        words = f"above {low}" if np.isfinite(self.lower) else f"below {high}"
-        return f"{self.name} {words}".replace("-", "−")
+            return f"{self.name} from {low} to {high}"
+        return f"{self.name} " + (f"above {low}" if np.isfinite(self.lower) else f"below {high}")
+
+    @property
+    def _quantity(self) -> Quantity:
+        return QUANTITIES.get(self.column, Quantity(f"mean of {self.column}"))
 
     def find(self, frame: pd.DataFrame) -> "Finding":
         """Read the quantity off a table of runs."""
@@ -128,7 +121,7 @@ class Measure:
         if self.column == "returns":
             return "episodes"
         several = len({body for _, body in self.cells}) > 1
-        return f"{_NAMES[cell[0]]} {cell[1]}" if several else _NAMES[cell[0]]
+        return METHODS[cell[0]].short + f" {cell[1]}" * several
 
 
 @dataclass(frozen=True)
@@ -199,7 +192,7 @@ class Claim:
             return findings, UNDECIDED, f"runs at budget {budget} are no evidence"
         cells = dict.fromkeys(cell for measure in self.measures for cell in measure.cells)
         if absent := [c for c in cells if not results.is_planned(frame, *c)]:
-            words = ", ".join(f"{_NAMES[method]} on {body}" for method, body in absent)
+            words = ", ".join(f"{METHODS[method].short} on {body}" for method, body in absent)
             return findings, UNDECIDED, f"not planned: {words}"
         if all(reason.startswith("too few") for _, reason in found):
             return findings, UNDECIDED, found[0][1]
@@ -319,8 +312,7 @@ def table(frame: pd.DataFrame) -> Styler:
     higher, and the distance from the bound that the planned trials would have found.
     """
     study, _ = results.context(frame)
-    tables = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
-    judged = {name: (f, evaluate(f, study)) for name, f in tables.items() if f is not None}
+    judged = {name: (runs, evaluate(runs, study)) for name, runs in _losses(frame).items()}
     rows = []
     for index, claim in enumerate(of(study)):
         row: dict[Any, str] = {
@@ -341,21 +333,24 @@ def table(frame: pd.DataFrame) -> Styler:
 
 def gap(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, under which loss of D SILEM's gap over its ablation appears, by `RULES`."""
-    losses = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
     rows = []
-    for claim in of(results.context(frame)[0]):
-        if claim.title == _GAP:
-            row, appears = {"body": claim.body}, []
-            for name, runs in losses.items():
-                if runs is not None:
-                    (finding,), verdict, _ = claim.judge(runs)
-                    told = value(finding, results.n_trials(runs), alone=True, trials=True)
-                    row[f"SILEM less SILEM⁻, {name}"] = told
-                    appears.append((name, finding.enough and verdict == HOLDS, finding.enough))
-            where = " and ".join(name for name, holds, _ in appears if holds) or "neither"
-            known = all(enough for *_, enough in appears)
-            rows.append(row | {"the gap appears under": where if known else "open: too few trials"})
+    for claim in (c for c in of(results.context(frame)[0]) if c.title == _GAP):
+        row, appears, known = {"body": claim.body}, [], True
+        for name, runs in _losses(frame).items():
+            (finding,), verdict, _ = claim.judge(runs)
+            told = value(finding, results.n_trials(runs), alone=True, trials=True)
+            row[f"SILEM less SILEM⁻, {name}"] = told
+            appears += [name] * (verdict == HOLDS)
+            known &= finding.enough
+        where = " and ".join(appears) or "neither"
+        rows.append(row | {"the gap appears under": where if known else "open: too few trials"})
     return pd.DataFrame(rows)
+
+
+def _losses(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return a study's runs and, where there are any, those with the paper's loss for D."""
+    tables = {"this book's loss": frame, "the paper's loss": results.paper_loss(frame)}
+    return {name: runs for name, runs in tables.items() if runs is not None}
 
 
 def counts(frame: pd.DataFrame) -> dict[str, int]:
@@ -373,10 +368,9 @@ def value(finding: Finding, planned: int, *, alone: bool, trials: bool) -> str:
     """Write a value with everything that bears on it; its name before it unless it is alone."""
     measure = finding.measure
     write = partial(number, digits=measure.digits)
-    text = write(finding.ours) if alone else f"{measure.name} {write(finding.ours)}"
+    text = style.estimate(finding.ours, finding.interval, measure.digits)
+    text = text if alone else f"{measure.name} {text}"
     lines = [f"{name} {count}" for name, count in finding.trials.items()] if trials else []
-    if np.isfinite(finding.interval).all():
-        text += f" [{' to '.join(map(write, finding.interval))}]"
     if measure.name == "score" and not np.isnan(finding.of_best):
         lines.append(f"against the best expert {write(finding.of_best)}")
     if not np.isnan(finding.wins):

@@ -13,25 +13,17 @@ from matplotlib.ticker import MaxNLocator
 
 from silem import bodies
 from silem.report import results, scores, statistics, style
+from silem.report.style import QUANTITIES
 from silem.study.runs import CURVE, CURVE_COLUMNS, RunRecord
 from silem.util import files
 from silem.util.errors import choose
 
-QUANTITIES = {
-    "return_mean": ("return of an episode", 0),
-    "episode_length": ("steps before a fall", 0),
-    "disc_reward": ("discriminator reward", 0),
-    "speed_m_s": ("forward speed (m/s)", 2),
-}
-"""Columns of a curve: what each is called, and how many digits it is written with."""
+DRAWN = ("return_mean", "episode_length", "disc_reward", "speed_m_s")
+"""The columns of a curve that figures of several runs show."""
 
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-_N_POINTS = 120
 _SMOOTHING = 9  # points of the running mean: a curve's row holds only a few episodes
 _TAIL = 0.1  # of a curve, whose mean is compared with that of as much before it
-_ONE_RUN = {name: title for name, (title, _) in QUANTITIES.items()} | {
-    "disc_acc_expert": "discriminator accuracy", "policy_std": "policy's standard deviation",
-}  # fmt: skip
 
 
 @style.applied()
@@ -48,7 +40,7 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     drawn = [m for m in style.METHODS if (frame["method"] == m).any()]
     left_out = {"disc_reward"} if drawn == ["ppo"] else set()  # whose panels would all be empty
     left_out |= set() if results.can_fall(frame) else {"episode_length"}
-    quantities = [name for name in QUANTITIES if name not in left_out]
+    quantities = [name for name in DRAWN if name not in left_out]
     size: dict[str, Any] = {"nrows": len(quantities), "ncols": len(names), "squeeze": False}
     figure, grid = style.new_figure(2.0 * len(quantities), sharex="col", sharey="row", **size)
     curves = {run: results.load_curve(run) for run in frame["run_id"]}
@@ -59,11 +51,10 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
             _draw_mean(axes, trials, quantity, method)
         axes.margins(x=0.01)
         axes.xaxis.set_major_locator(MaxNLocator(4 if len(names) < 5 else 2))
-        if not axes.lines:
-            style.say(axes, "not recorded" if (frame["body"] == body).any() else "no run")
-    style.no_scales_without_lines(grid)
+        if not axes.lines and (frame["body"] == body).any():
+            style.say(axes, "not recorded")
     for row, quantity in zip(grid, quantities, strict=True):
-        row[0].set_ylabel(QUANTITIES[quantity][0])
+        row[0].set_ylabel(QUANTITIES[quantity].heading)
     for column, body in zip(grid.T, names, strict=True):
         column[0].set_title(body)
         if len(names) < 5 or body == names[len(names) // 2]:
@@ -71,9 +62,8 @@ def learning_curves(frame: pd.DataFrame) -> Figure:
     grid[0, 0].yaxis.set_major_formatter("{x:,.0f}")
     figure.align_labels()
     counts = frame.groupby(["method", "body"]).size()
-    several = " to ".join(dict.fromkeys(str(n) for n in (counts.min(), counts.max())))
     bands = f"bands: minimum to maximum, from {scores.INTERVAL_TRIALS} trials on a 95 % t interval"
-    note = f"trials per curve: {several if len(counts) else 0}; {bands}"
+    note = f"trials per curve: {style.span(counts) if len(counts) else 0}; {bands}"
     return scores.finish(figure, frame, _handles(drawn, frame), note)
 
 
@@ -97,7 +87,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
         for run in frame[frame["n_steps"] > 0].itertuples():
             look = {"color": style.method(run.method).color, "ls": ls, "lw": 1.6}
             lines.append((results.load_curve(run.run_id), look))
-    figure, _ = draw({name: title for name, (title, _) in QUANTITIES.items()}, lines)
+    figure, _ = draw(DRAWN, lines)
     methods = {name for frame in groups.values() for name in frame["method"]}
     handles = _handles([name for name in style.METHODS if name in methods], first)
     handles += [style.handle(style.MUTED, label, ls=ls) for label, ls in dashes.items()]
@@ -108,7 +98,7 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
 @style.applied()
 def exploratory(frame: pd.DataFrame, quantities: Sequence[str]) -> Figure:
     """Draw exploratory runs (`pages.open_settings.load`) over iterations, a panel per quantity."""
-    panels = {name: QUANTITIES[choose("quantity", name, QUANTITIES)][0] for name in quantities}
+    panels = [choose("quantity", name, DRAWN) for name in quantities]
     looks = product(("-", (0, (5, 2))), (f"C{index}" for index in range(10)))
     lines = [
         (run.curve, {"label": run.name, "color": color, "ls": ls, "lw": 1.3})
@@ -126,40 +116,35 @@ def of_run(record: RunRecord) -> Figure:
     known = {name for name in curve if curve[name].notna().any()} | {"return_mean", "speed_m_s"}
     if not bodies.get(record.config["body"]).can_fall:
         known.discard("episode_length")
-    shown = [name for name in _ONE_RUN if name in known]
+    shown = [name for name in (*DRAWN, "disc_acc_expert", "policy_std") if name in known]
     shown = shown[: 6 if "episode_length" in known else 4]
     look: dict[str, Any] = {"color": style.INK, "marker": "o" if len(curve) < 12 else "", "ms": 3.5}
-    word, n_columns = "no episode ended during training", 3 if len(shown) == 3 else 2
-    figure, grid = draw({n: _ONE_RUN[n] for n in shown}, [(curve, look)], 2.0, n_columns, word)
+    figure, grid = draw(shown, [(curve, look)], 2.0, 3 if len(shown) == 3 else 2)
     for axes in (axes for axes, name in zip(grid, shown, strict=True) if "acc" in name):
         look["color"] = style.method("silem").color
         axes.plot(curve["iteration"], curve["disc_acc_learner"], **look)
         axes.set_ylim(0, 1.05)
         axes.legend(axes.lines, ["on expert windows", "on learner windows"], loc="lower right")
-    return style.finish(figure, note=record.run_id)
+    return style.finish(figure, note=record.run_id, word="no episode ended during training")
 
 
 def draw(
-    panels: Mapping[str, str],
+    panels: Sequence[str],
     lines: Sequence[tuple[pd.DataFrame, dict[str, Any]]],
     row_in: float = 2.1,
     n_columns: int = 2,
-    word: str = "no run",
 ) -> tuple[Figure, list[Axes]]:
-    """Draw curves, each with its look, over iterations: a panel for each column, by its title."""
-    figure, grid = style.panels(panels.values(), row_in, n_columns, sharex=True)
+    """Draw curves, each with its look, over iterations: a panel for each of `QUANTITIES`."""
+    titles = (QUANTITIES[name].heading for name in panels)
+    figure, grid = style.panels(titles, row_in, n_columns, sharex=True)
     for axes, column in zip(grid, panels, strict=True):
         for curve, look in lines:
             known = curve[["iteration", column]].dropna()
             if len(known):
                 axes.plot(known["iteration"], known[column], **look)
         axes.ticklabel_format(axis="y", useOffset=False)
-        if not axes.lines:
-            axes.set_yticks([])
-            style.say(axes, word)
     for axes in grid[-n_columns:]:
         axes.set_xlabel("iteration")
-    style.no_scales_without_lines([grid])
     return figure, grid
 
 
@@ -170,22 +155,17 @@ def _handles(methods: Sequence[str], frame: pd.DataFrame) -> list[Line2D]:
 
 
 def _draw_mean(axes: Axes, trials: Sequence[pd.DataFrame], quantity: str, method: str) -> None:
-    """Draw the mean of those trials that know a quantity, and their range, on one grid of steps."""
-    known = [curve[["timesteps", quantity]].dropna() for curve in trials]
-    known = [curve for curve in known if len(curve)]
-    if not known:
+    """Draw the mean of those trials that know a quantity, and their range, where all have begun."""
+    known = [curve.set_index("timesteps")[quantity].dropna() for curve in trials]
+    smooth = [c.rolling(min(_SMOOTHING, len(c)), 1, True).mean() for c in known if len(c)]
+    if not smooth:
         return
-    first = max(curve["timesteps"].iloc[0] for curve in known)
-    last = min(curve["timesteps"].iloc[-1] for curve in known)
-    x, color = np.linspace(first, last, _N_POINTS), style.method(method).color
-    smooth = [c.rolling(min(_SMOOTHING, len(c)), center=True, min_periods=1).mean() for c in known]
-    values = [
-        np.interp(x, curve["timesteps"], means[quantity])
-        for curve, means in zip(known, smooth, strict=True)
-    ]
-    axes.plot(x / 1e6, np.mean(values, axis=0), color=color, lw=1.5)
-    if len(values) > 1:
-        span: Any = np.min(values, axis=0), np.max(values, axis=0)
-        if len(values) >= scores.INTERVAL_TRIALS:
-            span = np.transpose([statistics.interval(step) for step in np.transpose(values)])
-        axes.fill_between(x / 1e6, *span, color=color, alpha=0.16, lw=0)
+    values = pd.concat(smooth, axis="columns").sort_index()
+    values = values.interpolate("index", limit_area="inside").dropna()
+    x, color = values.index / 1e6, style.method(method).color
+    axes.plot(x, values.mean(axis="columns"), color=color, lw=1.5)
+    if len(smooth) > 1:
+        span: Any = values.min(axis="columns"), values.max(axis="columns")
+        if len(smooth) >= scores.INTERVAL_TRIALS:
+            span = np.transpose([statistics.interval(step) for step in values.to_numpy()])
+        axes.fill_between(x, *span, color=color, alpha=0.16, lw=0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from silem.report import claims, results, style
+from silem.report import claims, results, scores, style
 from silem.report.pages import walking
 from silem.report.scores import normalised_scores
 from silem.report.web import BODIES, hours
@@ -87,7 +87,7 @@ def _behind(frames: list[pd.DataFrame]) -> str:
 def film(_: str = "") -> str:
     """Return the caption of README's film as Markdown."""
     frame = results.load_records("humanoids", "book")
-    parts = [_trials(frame, method) for method in walking.COMPARED]
+    parts = [_trials(frame, method) for method in scores.COMPARED]
     return (
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
         " reward, no actions, no retargeting. One trial is filmed. Behind it:"

@@ -174,7 +174,7 @@ def play_trials(
     runs = {}
     for method in methods:
         trials = results.cell(records[records["seed"].eq(TRIAL_SEEDS[0])], method, body)
-        name = style.method(method, results.original_body(records)).name
+        name = style.METHODS[method].short
         runs[name] = results.find(trials["run_id"].iloc[0]) if len(trials) else None
     told = [name if run else f"{name}: no run yet" for name, run in runs.items()]
     caption, made = f"{body}, first trials, in real time: {' | '.join(told)}", any(runs.values())

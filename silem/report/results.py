@@ -9,7 +9,7 @@ as missing and runs of other settings as set aside; neither is passed over in si
 import dataclasses
 from collections.abc import Iterator, Sequence
 from html import escape
-from itertools import chain
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ import pandas as pd
 from IPython.display import HTML
 
 from silem import bodies
+from silem.report import style
 from silem.study import runs
 from silem.study.config import SEARCH, TRIAL_SEEDS, RunConfig
 from silem.study.runs import CURVE, CURVE_COLUMNS, TRANSFORM, RunRecord
@@ -177,12 +178,9 @@ def _sorted(names: set[str]) -> list[str]:
 
 
 def context(frame: pd.DataFrame) -> tuple[str, str]:
-    """Return a table's study and budget; SilemError if it mixes budgets or is no such table."""
+    """Return a table's study and budget; SilemError if it is no such table."""
     if "budget" not in frame.attrs:
         raise SilemError("not a table of one study at one budget: load it with load_records")
-    for body, counts in trained(frame).groupby("body")["n_iterations"].unique().items():
-        if len(counts) > 1:
-            raise SilemError(f"mixed budgets on {body}: runs of {sorted(counts)} iterations")
     return frame.attrs["study"], frame.attrs["budget"]
 
 
@@ -264,12 +262,6 @@ def can_fall(frame: pd.DataFrame) -> bool:
     return bodies.get(body_names(frame)[0]).can_fall
 
 
-def upright_label(frame: pd.DataFrame) -> str:
-    """Say what ``upright`` measures: a humanoid's episode ends where it falls."""
-    walks = bodies.get(body_names(frame)[0]).family == "humanoid"
-    return "share of steps survived" if walks else "share of time upright"
-
-
 def is_planned(frame: pd.DataFrame, method: str, body: str) -> bool:
     """Tell whether a table's study has a cell, or shares another study's."""
     planned = {(cell.method, cell.body) for cell in cells(frame.attrs["study"])}
@@ -294,15 +286,18 @@ def cell(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     return frame[frame["method"].eq(method) & frame["body"].eq(body)]
 
 
+def planned(
+    frame: pd.DataFrame, methods: Sequence[str] = tuple(style.METHODS)
+) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield every cell that is planned, body by body: its body, its method and its runs."""
+    for body, method in product(body_names(frame), methods):
+        if is_planned(frame, method, body):
+            yield body, method, cell(frame, method, body)
+
+
 def scores(frame: pd.DataFrame, method: str, body: str, column: str = "normalised") -> np.ndarray:
     """Return one cell's values in a column that are known, shape (N,)."""
     return cell(frame, method, body)[column].dropna().to_numpy(dtype=np.float64)
-
-
-def against_best(frame: pd.DataFrame, method: str, body: str) -> np.ndarray:
-    """Return one cell's returns over the best expert's of the body; empty where none is above 0."""
-    best = scores(frame, "ppo", body, "return_mean").max(initial=0.0)
-    return scores(frame, method, body, "return_mean") / best if best > 0 else np.empty(0)
 
 
 def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.ndarray:
@@ -312,7 +307,7 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     its replicates; or an entry of T, the mean over the features whose names begin so: ``"b pitch"``
     of a runner, ``"A left_hand"`` of a humanoid, or a difference, ``"b left_elbow - right_elbow"``.
     """
-    from silem.report.transforms import feature_names  # which reads results
+    from silem.report import transforms  # which reads results
 
     found = cell(frame, method, body)
     if quantity == "returns":
@@ -320,12 +315,12 @@ def values(frame: pd.DataFrame, method: str, body: str, quantity: str) -> np.nda
     key, _, parts = quantity.partition(" ")
     if not parts:
         return scores(frame, method, body, quantity)
-    entries, names = [load_transform(r)[key] for r in found["run_id"]], feature_names(body)
+    rows = transforms.learned(found)
     one, *other = (
-        np.array([entry[[name.startswith(part) for name in names]].mean() for entry in entries])
+        rows[rows["feature"].str.startswith(part)].groupby("run_id", sort=False)[key].mean()
         for part in parts.replace("_", " ").split(" - ")
     )
-    return one - other[0] if other else one
+    return (one - other[0] if other else one).to_numpy(float)
 
 
 find = runs.get

@@ -19,6 +19,7 @@ from silem import bodies, paper
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import results, statistics, style
+from silem.report.style import QUANTITIES, MethodStyle
 from silem.study.settings import BUDGETS, METHODS
 from silem.util.errors import SilemError, choose
 
@@ -164,7 +165,7 @@ def normalised_scores(frame: pd.DataFrame) -> Figure:
     note = interval_note(frame, everyone, "speed_m_s")
     if falls:
         counts = [len(results.cell(frame, m, b)) for _, m, b in _places(frame, everyone[:-1])]
-        note = f"trials of a cell: {min(counts)} to {max(counts)}; {note}"
+        note = f"trials of a cell: {style.span(counts)}; {note}"
     return finish(figure, frame, [*methods_of(frame, everyone), mean, *levels], note)
 
 
@@ -179,7 +180,7 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
     title = "True return of an episode: minimum, mean, maximum over trials"
     shown = [
         Panel("return_mean", title, COMPARED, _MAX_RETURN, "mean", scale="PPO", means=True),
-        Panel("upright", "Share of steps survived", COMPARED, level="mean", counts=False),
+        Panel("upright", "Share of steps upright", COMPARED, level="mean", counts=False),
         Panel("speed_m_s", "Speed (m/s)", COMPARED, speed, "mean", counts=False),
     ]
     mosaic = [["return_mean"] * 2, ["upright", "speed_m_s"]]
@@ -194,12 +195,10 @@ def humanoid_scores(frame: pd.DataFrame) -> Figure:
 def experts(frame: pd.DataFrame) -> Figure:
     """Draw the experts beside the random policy, and in amber the paper's own numbers."""
     frame, methods = runs_of("experts", frame), ("ppo", "random")
-    titles = {
-        "return_mean": "Return of an episode",
-        "speed_m_s": "Forward speed (m/s)",
-        "upright": results.upright_label(frame).capitalize(),
-    }
-    shown = [Panel(name, title, methods, counts=False) for name, title in titles.items()]
+    shown = [
+        Panel(name, QUANTITIES[name].heading.capitalize(), methods, counts=False)
+        for name in ("return_mean", "speed_m_s", "upright")
+    ]
     figure, _, levels = by_body(frame, shown, 3.1)
     note = interval_note(frame, methods[:1], "return_mean")
     return finish(figure, frame, methods_of(frame, methods) + levels, note)
@@ -252,23 +251,33 @@ def against(
 
     `x` is the column of that number, or maps bodies to it: a torso's length in m, for instance.
     """
-    places = frame["body"].map(x) if isinstance(x, Mapping) else frame[x]
+    looks = {name: style.method(name, results.original_body(frame)) for name in methods}
+    figure = draw_against(frame, x, label, columns, "method", looks)
+    return finish(figure, frame, style.marks(looks.values()), "lines: means over trials")
+
+
+@style.applied()
+def draw_against(
+    rows: pd.DataFrame,
+    x: str | Mapping[str, float],
+    label: str,
+    columns: Mapping[str, str],
+    by: str,
+    looks: Mapping[str, MethodStyle],
+) -> Figure:
+    """Draw as `against` does, without its legend, a line for each value of the column `by`."""
+    places = rows["body"].map(x) if isinstance(x, Mapping) else rows[x]
     figure, grid = style.panels(columns.values(), 2.8, sharex=True)
     for axes, column in zip(grid, columns, strict=True):
         axes.set_xlabel(label)
-        for method in methods:
-            known = frame[frame["method"] == method].dropna(subset=column)
+        for name, look in looks.items():
+            known = rows[rows[by].eq(name)].dropna(subset=column)
             groups = known.groupby(places[known.index])[column]
             for place, values in groups:
-                draw_trials(axes, place, values.to_numpy(), method)
+                draw_trials(axes, place, values.to_numpy(), look)
             if len(known):
-                axes.plot(groups.mean(), color=style.method(method).color, lw=1.4)
-        if not axes.lines:
-            axes.set_yticks([])  # a scale without a run means nothing
-            style.say(axes, "no run")
-    if not any(axes.lines for axes in grid):
-        grid[0].set_xticks([])
-    return finish(figure, frame, methods_of(frame, methods), "lines: means over trials")
+                axes.plot(groups.mean(), color=look.color, lw=1.4)
+    return figure
 
 
 def draw_cells(axes: Axes, frame: pd.DataFrame, panel: Panel) -> None:
@@ -280,7 +289,7 @@ def draw_cells(axes: Axes, frame: pd.DataFrame, panel: Panel) -> None:
         if not len(values):
             style.empty_slot(axes, x, _reason(frame, method, body))
             continue
-        draw_trials(axes, x, values, method)
+        draw_trials(axes, x, values, style.method(method))
         if panel.counts:
             place: dict[str, Any] = {"transform": axes.get_xaxis_transform(), "color": style.MUTED}
             axes.text(x, 0.025, f"n={len(values)}", bbox=plate, **place, **small)
@@ -290,12 +299,11 @@ def draw_cells(axes: Axes, frame: pd.DataFrame, panel: Panel) -> None:
             axes.annotate(style.number(values.mean()), (x, values.max()), **above)
 
 
-def draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
+def draw_trials(axes: Axes, x: float, values: np.ndarray, look: MethodStyle) -> None:
     """Draw minimum, mean and maximum over trials, and the trials; hollow for a single one.
 
     From `INTERVAL_TRIALS` on a pale bar behind them is Student's 95 % t interval of the mean.
     """
-    look = style.method(method)
     if len(values) >= INTERVAL_TRIALS:
         interval = statistics.interval(values)
         axes.plot([x, x], interval, color=look.color, lw=7, alpha=0.3, solid_capstyle="butt")
@@ -306,7 +314,7 @@ def draw_trials(axes: Axes, x: float, values: np.ndarray, method: str) -> None:
         dots: dict[str, Any] = {"ms": 3, "color": look.color, "alpha": 0.6, "mec": "none"}
         axes.plot(np.full(len(values), x), values, "o", transform=beside, **dots)
     mark: dict[str, Any] = {"mfc": look.color, "mec": "white", "mew": 0.8}
-    if len(values) == 1 and method != "random":  # which is not trained
+    if len(values) == 1 and look.marker != style.METHODS["random"].marker:  # which is not trained
         mark = {"mfc": "white", "mec": look.color, "mew": 1.6}
     axes.plot([x], [values.mean()], look.marker, color=look.color, ms=7.5, zorder=5, **mark)
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -50,28 +51,56 @@ _SHEET = mpl.rc_params_from_file(
 
 
 class MethodStyle(NamedTuple):
-    """How a method is drawn, the same in every figure."""
+    """How a method is called and drawn, the same everywhere."""
 
+    short: str
     label: str
     color: str
     marker: str
 
-    @property
-    def name(self) -> str:
-        """The label without what it says of the method after a comma."""
-        return self.label.partition(",")[0]
-
 
 METHODS = {
-    "silem": MethodStyle("SILEM", "#0072B2", "o"),
-    "silem-minus": MethodStyle("SILEM⁻ ({original} expert)", "#D55E00", "s"),
-    "silem-minus-own": MethodStyle("SILEM⁻ (own expert)", "#009E73", "^"),
-    "silem-mlp": MethodStyle("SILEM with an MLP", "#CC79A7", "D"),
-    "tpil": MethodStyle("TPIL", "#56B4E9", "v"),
-    "peng20": MethodStyle("Peng20", "#882255", "d"),
-    "ppo": MethodStyle("PPO expert", "#444444", "P"),
-    "random": MethodStyle("random policy", "#999999", "X"),
+    "silem": MethodStyle("SILEM", "SILEM", "#0072B2", "o"),
+    "silem-minus": MethodStyle("SILEM⁻", "SILEM⁻ ({original} expert)", "#D55E00", "s"),
+    "silem-minus-own": MethodStyle("SILEM⁻ own", "SILEM⁻ (own expert)", "#009E73", "^"),
+    "silem-mlp": MethodStyle("MLP", "SILEM with an MLP", "#CC79A7", "D"),
+    "tpil": MethodStyle("TPIL", "TPIL", "#56B4E9", "v"),
+    "peng20": MethodStyle("Peng20", "Peng20", "#882255", "d"),
+    "ppo": MethodStyle("PPO", "PPO expert", "#444444", "P"),
+    "random": MethodStyle("random", "random policy", "#999999", "X"),
 }
+
+
+class Quantity(NamedTuple):
+    """How what is measured is called in tables, figures and claims, and with how many digits."""
+
+    heading: str
+    digits: int = 2
+
+
+QUANTITIES = {
+    "return_mean": Quantity("return", 0),
+    "returns": Quantity("return", 0),
+    "normalised": Quantity("score"),
+    "best": Quantity("score, best expert"),
+    "episode_length": Quantity("steps before a fall", 0),
+    "steps": Quantity("steps of an episode", 0),
+    "upright": Quantity("share of steps upright"),
+    "disc_reward": Quantity("discriminator reward", 0),
+    "speed_m_s": Quantity("speed (m/s)"),
+    "disc_acc_expert": Quantity("discriminator accuracy"),
+    "policy_std": Quantity("policy's standard deviation"),
+    "wall_time_min": Quantity("wall time (min)", 1),
+    "apart": Quantity("maps apart (%)", 0),
+    "step_hz": Quantity("steps/s"),
+    "stance_left": Quantity("stance, left"),
+    "stance_right": Quantity("stance, right"),
+    "clearance_m": Quantity("clearance (m)"),
+    "symmetry": Quantity("symmetry"),
+    "features": Quantity("from his features"),
+    "movement": Quantity("from his movement"),
+}
+"""What is measured, by the columns of records, of their curves, and of what is made of them."""
 
 # Where a human demonstrates, no expert's body needs naming, and PPO on the true reward is no expert
 # that anybody imitates.
@@ -81,16 +110,14 @@ _WITHOUT_EXPERT = {"silem-minus": "SILEM⁻", "ppo": "PPO, true reward"}
 _LIGHT, _DARK = np.array([0.80, 0.74, 0.90]), np.array([0.25, 0.07, 0.42])
 
 
-def method(name: str, original: str = "HC0", *, short: bool = False) -> MethodStyle:
+def method(name: str, original: str = "HC0") -> MethodStyle:
     """Return a method's style; an unknown method is a SilemError.
 
-    Its label names the body whose expert demonstrates to the others, "" where a human does; a
-    short one does not.
+    Its label names the body whose expert demonstrates to the others, "" where a human does.
     """
     chosen = METHODS[choose("method", name, METHODS)]
     label = chosen.label if original else _WITHOUT_EXPERT.get(name, chosen.label)
-    label = label.format(original=original)
-    return chosen._replace(label=label.partition(" (")[0] if short else label)
+    return chosen._replace(label=label.format(original=original))
 
 
 def body_color(index: int, count: int) -> str:
@@ -137,8 +164,19 @@ def finish(
     ncols: int = 3,
     *,
     warn: bool = False,
+    word: str = "no run",
 ) -> Figure:
-    """Put a legend, read by rows, above a figure and small print under it, in red to warn."""
+    """Put a legend, read by rows, above a figure and small print under it, in red to warn.
+
+    A panel in which nothing is drawn says so by a word, and an empty one has no scale of its own.
+    """
+    for axes in (axes for axes in figure.axes if axes.axison and not _has_data(axes)):
+        if not axes.texts:
+            say(axes, word)
+        shared = axes.get_shared_x_axes(), axes.get_shared_y_axes()
+        for axis, sharing in zip((axes.xaxis, axes.yaxis), shared, strict=True):
+            if not any(map(_drawn, sharing.get_siblings(axes))):
+                axis.set_ticks([])
     if handles:
         by_rows = [h for column in range(ncols) for h in handles[column::ncols]]
         figure.legend(handles=by_rows, loc="outside upper left", ncols=ncols)
@@ -149,31 +187,31 @@ def finish(
     return figure
 
 
+def _drawn(axes: Axes) -> list[Artist]:
+    return [*axes.lines, *axes.collections, *axes.patches, *axes.images]
+
+
+def _has_data(axes: Axes) -> bool:
+    """Tell whether anything is drawn at data's places: levels and bands alone are nothing."""
+    places = (a.get_transform().contains_branch_seperately(axes.transData) for a in _drawn(axes))
+    return any(map(all, places))
+
+
 def handle(color: str, label: str, **look: Any) -> Line2D:
     """Return an entry of a legend."""
     return Line2D([], [], color=color, label=label, **look)
 
 
-def marks(looks: Iterable[MethodStyle], ms: float = 8) -> list[Line2D]:
+def marks(looks: Iterable[MethodStyle]) -> list[Line2D]:
     """Return a legend's entries for methods, each with its marker."""
-    look: dict[str, Any] = {"ls": "none", "mec": "white", "ms": ms}
+    look: dict[str, Any] = {"ls": "none", "mec": "white", "ms": 8}
     return [handle(m.color, m.label, marker=m.marker, **look) for m in looks]
 
 
 def say(axes: Axes, word: str) -> None:
-    """Write a word in the middle of an empty panel, which has no scale then."""
+    """Write a word in the middle of an empty panel."""
     middle: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
     axes.text(0.5, 0.5, word, color=MUTED, backgroundcolor="white", **middle)
-
-
-def no_scales_without_lines(grid: Any) -> None:
-    """Take the scales off rows and columns of panels, which share them, where nothing is drawn."""
-    for row in grid:
-        if not any(axes.lines for axes in row):
-            row[0].set_yticks([])
-    for column in zip(*grid, strict=True):
-        if not any(axes.lines for axes in column):
-            column[-1].set_xticks([])
 
 
 def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
@@ -184,11 +222,27 @@ def empty_slot(axes: Axes, x: float, text: str = "no run") -> None:
     axes.text(x, 0.56, text, bbox={"facecolor": "white", "edgecolor": "none", "pad": 2}, **place)
 
 
-def number(value: float | None, digits: int = 0) -> str:
-    """Write a number with thousands separated and a true minus; a dash where there is none."""
+def number(value: float | None, digits: int | None = 0) -> str:
+    """Write a number with thousands separated and a true minus; a dash where there is none.
+
+    With None for the digits it is as short as it can be.
+    """
     if value is None or np.isnan(value):
         return DASH
-    return f"{value:,.{digits}f}".replace("-", "−")
+    text = f"{value:,g}".replace("e-0", "e-") if digits is None else f"{value:,.{digits}f}"
+    return text.replace("-", "−")
+
+
+def span(values: Iterable[float], digits: int = 0) -> str:
+    """Write the least and the greatest of numbers, "2 to 5"; "2" if equal, a dash for none."""
+    known = [value for value in values if not np.isnan(value)]
+    ends = [number(end, digits) for end in (min(known), max(known))] if known else [DASH]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def estimate(value: float, ends: tuple[float, float], digits: int = 0) -> str:
+    """Write a number with its interval, "3 [1 to 5]", and without one that is not known."""
+    return number(value, digits) + (f" [{span(ends, digits)}]" if np.isfinite(ends).all() else "")
 
 
 def trials(count: int) -> str:

@@ -102,8 +102,9 @@ def by_feature(frame: pd.DataFrame) -> Figure:
         look: dict[str, Any] = {"color": style.body_color(index, len(names))}
         look |= {"marker": _MARKERS[index], "mec": "white"}
         places = rows + (index - (len(names) - 1) / 2) * 0.7 / len(names)
+        tidy = learned(best)
         for entry, axes in panels.items():
-            values = _values(best, entry)
+            values = tidy[entry].to_numpy(float).reshape(-1, len(places))
             for trial in values if len(values) > 1 else ():
                 small = {"ls": "none", "ms": 2.5, "alpha": 0.45, "mec": "none"}
                 axes.plot(trial, places, **look | small)
@@ -114,8 +115,6 @@ def by_feature(frame: pd.DataFrame) -> Figure:
             panels["A"].plot(hoped, places, "|", color=look["color"], ms=8, mew=2)
         label = f"{body}, {style.trials(len(best))}"
         handles.append(style.handle(label=label, ms=7, ls="none", **look))
-    for axes in panels.values() if frame.empty else ():
-        style.say(axes, "no run")
     note = f"small: a policy, large: their mean; a body's best {n_best} at most, as in Figure 4"
     if any(np.isfinite(expected(body)).any() for body in names):
         note += "; upright strokes: the ratio of the limbs' distances from the torso"
@@ -146,18 +145,18 @@ def agreement(frame: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for body in results.body_names(frame):
         runs = results.cell(frame, "silem", body).sort_values("return_mean", ascending=False)
-        best = _values(runs.head(paper.number("best_policies_shown")), "A")
-        row, hoped = {"body": body, "policies": str(len(best))}, expected(body)
+        hoped, best = expected(body), learned(runs.head(paper.number("best_policies_shown")))
+        best = best["A"].to_numpy(float).reshape(-1, len(hoped))
+        row = {"body": body, "policies": str(len(best))}
         for group in (g for g in feature_groups(body) if g.name in _LIMBS):
             columns = list(group.columns)
-            learned = number(best[:, columns].mean() if len(best) else None, 2)
-            row[group.name] = f"{number(hoped[columns[0]], 2)} → {learned}"
+            scale = number(best[:, columns].mean() if len(best) else None, 2)
+            row[group.name] = f"{number(hoped[columns[0]], 2)} → {scale}"
         known = np.isfinite(hoped)
         row["rank correlation"] = style.DASH
         if len(best) and known.any():
-            found = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
-            rho, low, high = (number(value, 2) for value in found)
-            row["rank correlation"] = f"{rho} [{low} to {high}]"
+            rho, *ends = statistics.rank_correlation(hoped[known], best.mean(axis=0)[known])
+            row["rank correlation"] = style.estimate(rho, (ends[0], ends[1]), 2)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -182,36 +181,36 @@ def against(
 ) -> Figure:
     """Draw A and b of some features (`feature_names`) against a number of each body, say a length.
 
-    Dots are trials, lines their means.
+    Lines are means over trials.
     """
-    runs = results.select(frame, ["silem"], list(x))
-    figure, grid = style.panels([title for title, _ in _ENTRIES.values()], 2.8, sharex=True)
-    known = feature_names(next(iter(x)))
-    for axes, (entry, (_, neutral)) in zip(grid, _ENTRIES.items(), strict=True):
-        axes.set_xlabel(label)
+    runs, known = results.select(frame, ["silem"], list(x)), feature_names(next(iter(x)))
+    looks = {
+        choose("feature", name, known): style.MethodStyle(name, name, f"C{index}", marker)
+        for index, (name, marker) in enumerate(zip(features, _MARKERS, strict=False))
+    }
+    titles = {entry: title for entry, (title, _) in _ENTRIES.items()}
+    figure = scores.draw_against(learned(runs), x, label, titles, "feature", looks)
+    for axes, (_, neutral) in zip(figure.axes, _ENTRIES.values(), strict=True):
         axes.axhline(neutral, color=style.MUTED, lw=1, ls=style.DASHED)
-        values = {body: _values(results.cell(runs, "silem", body), entry) for body in x}
-        values = {body: found for body, found in values.items() if len(found)}
-        for index, feature in enumerate(features):
-            column, color = known.index(choose("feature", feature, known)), f"C{index}"
-            for body, found in values.items():
-                axes.plot([x[body]] * len(found), found[:, column], ".", color=color, alpha=0.5)
-            means = [found[:, column].mean() for found in values.values()]
-            axes.plot([x[body] for body in values], means, color=color, marker=_MARKERS[index % 7])
-        if not values:
-            style.say(axes, "no run")
-    look = [{"color": f"C{index}", "marker": _MARKERS[index % 7]} for index in range(len(features))]
-    handles = [style.handle(label=f, **one) for f, one in zip(features, look, strict=True)]
-    return scores.finish(figure, runs, handles, "dots: trials, lines: their means", ncols=4)
+    note = "lines: means over trials"
+    return scores.finish(figure, runs, style.marks(looks.values()), note, ncols=4)
 
 
-def _values(rows: pd.DataFrame, entry: str) -> np.ndarray:
-    """Return A or b of some runs of one body, (N, F); (0, 0) without any."""
-    loaded = [results.load_transform(run_id)[entry] for run_id in rows["run_id"]]
-    for body, values in zip(rows["body"], loaded, strict=True):
-        if values.shape != (n_features := len(feature_names(body)),):
-            raise SilemError(f"transforms of {body}: {values.shape} for {n_features} features")
-    return np.array(loaded) if loaded else np.empty((0, 0))
+def learned(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what T learned in a table's runs of SILEM: a row for each run and feature.
+
+    Columns are ``run_id``, ``body``, ``method``, ``feature`` (`feature_names`), ``A`` and ``b``.
+    """
+    columns = ["run_id", "body", "method"]
+    parts = [pd.DataFrame(columns=[*columns, "feature", *_ENTRIES])]
+    for run in frame.loc[frame["method"].eq("silem"), columns].to_dict("records"):
+        arrays, names = results.load_transform(run["run_id"]), feature_names(run["body"])
+        if arrays["A"].shape != (len(names),):
+            found = f"{arrays['A'].shape} for {len(names)} features"
+            raise SilemError(f"transforms of {run['body']}: {found}")
+        entries = {entry: arrays[entry] for entry in _ENTRIES}
+        parts.append(pd.DataFrame(run | {"feature": names} | entries))
+    return pd.concat(parts[1:] or parts, ignore_index=True)
 
 
 def sheet(

@@ -31,7 +31,7 @@ from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
 from silem.report.pages import slider
-from silem.report.transforms import feature_names
+from silem.report.transforms import learned
 from silem.study.evaluate import load_policy
 from silem.util import files
 from silem.util.errors import SilemError
@@ -152,12 +152,7 @@ def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
         parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
         return pd.concat(parts, ignore_index=True)
     if figure == "by_feature":
-        parts = []
-        for run, body in zip(frame["run_id"], frame["body"], strict=True):
-            learned = results.load_transform(run)
-            named = {"run_id": run, "feature": feature_names(body)}
-            parts.append(pd.DataFrame(named | {name: learned[name] for name in ("A", "b")}))
-        return pd.concat(parts, ignore_index=True)
+        return learned(frame)
     return frame.drop(columns=["returns"])
 
 

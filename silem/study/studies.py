@@ -75,7 +75,8 @@ def _own(bodies: Sequence[str]) -> list[tuple[str, str, str]]:
 
 _ANTS = tuple(f"Ant{i}" for i in range(7))
 _CHEETAHS, _HUMANOIDS = ("HC0", "HC1", "HC2"), ("Humanoid", "HumanoidR", "Atlas")
-_BOTH = ("silem", "silem-minus")
+BOTH = ("silem", "silem-minus")
+"""SILEM and its ablation."""
 # The paper gives PPO 8000 iterations on humanoids, with a learning rate of 1e-4 and a clip range of
 # 0.1. The book's budget is a fraction of that, so it takes the larger steps of the paper's other
 # bodies, for every method alike.
@@ -86,28 +87,28 @@ _define(
     "halfcheetah",
     "Figure 2b and Table 1",
     ("ppo", _CHEETAHS),
-    (_BOTH, _CHEETAHS, "HC0"),
+    (BOTH, _CHEETAHS, "HC0"),
     *_own(_CHEETAHS),
     ("silem-mlp", "HC0", "HC0"),
     ("random", _CHEETAHS),
 )
-_define("ant", "Figure 2d", ("ppo", _ANTS), (_BOTH, _ANTS, "Ant0"), *_own(_ANTS), ("random", _ANTS))
+_define("ant", "Figure 2d", ("ppo", _ANTS), (BOTH, _ANTS, "Ant0"), *_own(_ANTS), ("random", _ANTS))
 _define(
     "ant-absorbing",
     "the shortest and the longest Ant, with what follows an early end judged too",
-    (_BOTH, ("Ant0", "Ant6"), "Ant0", (("absorbing_states", True),)),
+    (BOTH, ("Ant0", "Ant6"), "Ant0", (("absorbing_states", True),)),
     seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "humanoids",
     "Figures 3b, 4a and 4b",
-    (("ppo", *_BOTH, "peng20", "tpil"), _HUMANOIDS, None, _LARGER_STEPS),
+    (("ppo", *BOTH, "peng20", "tpil"), _HUMANOIDS, None, _LARGER_STEPS),
     ("random", _HUMANOIDS),
 )
 _define(
     "humanoids-no-gradient-penalty",
     "humanoids with the paper's loss for D, which has no gradient penalty",
-    *((_BOTH, body, None, _LARGER_STEPS + _NO_PENALTY) for body in _HUMANOIDS),
+    *((BOTH, body, None, _LARGER_STEPS + _NO_PENALTY) for body in _HUMANOIDS),
     seeds=TRIAL_SEEDS[:3],  # fewer decide nothing
 )
 _NO_L2 = (("transform_l2_scale", 0.0), ("transform_l2_bias", 0.0))
@@ -169,13 +170,13 @@ _define(
 _define(
     "no-gradient-penalty",
     "HalfCheetah with the paper's loss for D, which has no gradient penalty",
-    (_BOTH, _CHEETAHS, "HC0", _NO_PENALTY),
+    (BOTH, _CHEETAHS, "HC0", _NO_PENALTY),
     seeds=TRIAL_SEEDS[:3],
 )
 _define(
     "demonstrators",
     "each of HC0's five experts as the demonstrator",
-    *((_BOTH, body, f"HC0_s{i}") for body, i in product(("HC1", "HC2"), TRIAL_SEEDS)),
+    *((BOTH, body, f"HC0_s{i}") for body, i in product(("HC1", "HC2"), TRIAL_SEEDS)),
     seeds=TRIAL_SEEDS[:1],
 )
 _define(
@@ -211,7 +212,7 @@ for _name, _about, _new, _original, _others in (
         _about,
         ("ppo", _new),
         *_own(_new),
-        *(((*_BOTH, "tpil"), body, _original) for body in _new),
+        *(((*BOTH, "tpil"), body, _original) for body in _new),
         ("tpil", _others, _original),
         seeds=TRIAL_SEEDS[:2],
     )
@@ -225,7 +226,7 @@ _define(
 _define(
     "slope-humanoid",
     "the conjecture, as the paper words it: a human walks on flat ground, a humanoid uphill",
-    *((_BOTH, f"Humanoid-slope-{deg:g}", None, _LARGER_STEPS) for deg in SLOPES_DEG),
+    *((BOTH, f"Humanoid-slope-{deg:g}", None, _LARGER_STEPS) for deg in SLOPES_DEG),
     seeds=TRIAL_SEEDS[:1],
 )
 _define(

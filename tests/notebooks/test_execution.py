@@ -112,8 +112,7 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
         assert output(page, cell_id).startswith("<svg")
     assert "18 runs" in words(output(page, "experts-runs"))
     assert re.search(r"HC1 2,000 1,2\d\d\.\d\d", words(output(page, "longer")))
-    (unlike,) = [cell for cell in page.cells if cell.id == "unlike-ppo1"]
-    assert str(unlike.outputs).count("not run yet; otherwise") == 2
+    assert "actions clipped no 0" in words(output(page, "unlike-ppo1"))
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
     demonstrator = find_demonstrator(frame)
@@ -197,7 +196,7 @@ def test_halfcheetah(execute: Execute, tmp_path: Path) -> None:
     assert missing.count("silem run") == absent
     meta, _ = video(output(page, "video"), tmp_path)
     assert meta["size"] == (2 * 640 + 8, 480)
-    assert "SILEM | SILEM⁻ (HC0 expert)" in words(output(page, "video"))
+    assert "SILEM | SILEM⁻" in words(output(page, "video"))
 
 
 def test_affine_or_mlp(execute: Execute) -> None:
@@ -206,7 +205,7 @@ def test_affine_or_mlp(execute: Execute) -> None:
     table = words(output(page, "table"))
     for name, row in rows.items():
         printed = [style.number(row[key]) for key in row if key != "f"]
-        assert re.search(rf"{name} {printed[0]} .*{printed[1]} ", table)
+        assert re.search(rf"{name} \d {printed[0]} {printed[1]} ", table)
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
     frame = results.load_records("halfcheetah", "book")
@@ -232,9 +231,7 @@ def test_which_gait_can_be_imitated(execute: Execute) -> None:
     page = execute("13_demonstrators", n_trajectories=1, video_s=0.1)
     assert output(page, "imitated").startswith("<svg")
     assert "20 of the planned runs not made yet" in words(output(page, "imitated-runs"))
-    (cell,) = [cell for cell in page.cells if cell.id == "decided"]
-    told = "".join(cell.outputs[0].data["text/markdown"])
-    assert "**HC1**: not to be told yet" in told
+    assert words(output(page, "decided")).count("not to be told yet") == 2
     assert "No video" in output(page, "video")
 
 
@@ -259,7 +256,7 @@ def test_beyond_the_paper(execute: Execute) -> None:
     verdicts = words(output(page, "slope-verdict"))
     assert all(claim.text in verdicts for claim in claims.of("slope"))
     assert verdicts.count("undecided") == len(claims.of("slope"))
-    assert "HC0 affine, K = 1 5 trials" in words(output(page, "ensembles"))
+    assert "HC0 affine, K = 1 5" in words(output(page, "ensembles"))
     assert "no run" in words(output(page, "arms"))
 
 
@@ -268,11 +265,6 @@ def test_open_settings(execute: Execute) -> None:
     spoken = said(page)
     assert glue_roles(page) <= spoken.keys()
     assert spoken["near_best"] == "2"
-    transforms = sum(
-        len(results.cell(results.load_records("halfcheetah", "book"), "silem", body))
-        for body in ("HC0", "HC1", "HC2")
-    )
-    assert spoken["travel_says"].startswith(f"Of {transforms} transforms")
     assert "in the study now" in words(output(page, "search"))
     assert "How far the transforms went" in words(output(page, "travel"))
     for cell_id in ("humanoid-ppo-curves", "humanoid-silem-curves"):

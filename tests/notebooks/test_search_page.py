@@ -60,10 +60,8 @@ def test_search(execute: Execute) -> None:
     for name in ("hc2", "ant3"):
         assert output(page, f"{name}-sensitivity").startswith("<svg")
     assert "data/results/search-halfcheetah-HC2-silem" in output(page, "hc2-runs")
-    curse = text(page, "curse")
     gone = f"{sum(first.fresh) / 3 - first.score:,.0f}".replace("-", "−")
-    assert int(gone.replace("−", "-")) < -800 and f"a difference of {gone} [" in curse
-    assert "The supplement's best scored" in curse and "**Ant3:** The winner has not been" in curse
+    assert int(gone.replace("−", "-")) < -800 and f" {gone} [" in table
     assert f"silem search {DONE} --budget quick --sample {N} --trials 2" in output(page, "again")
 
 
@@ -75,5 +73,4 @@ def test_without_any_run_the_page_says_so(execute: Execute) -> None:
         assert "not run yet" in text(page, f"{name}-says")
         assert output(page, f"{name}-sensitivity").startswith("<svg")
         assert "0 runs, 48 of the planned runs" in words(output(page, f"{name}-runs"))
-    assert text(page, "curse").count("not run yet") == 2
     assert "--iterations 2" in output(page, "again")

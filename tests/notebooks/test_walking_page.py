@@ -65,14 +65,14 @@ def test_walking(execute: Execute) -> None:
     assert [int(spoken[f"n_{name}"]) for name in ("cells", "walk", "fall")] == [3, 2, 1]
     for cell_id in FIGURES:
         assert output(page, cell_id).startswith("<svg"), cell_id
-    assert "Atlas SILEM 1 " in words(output(page, "walks"))
-    assert "SILEM demonstration's states 1 " in words(output(page, "starts"))
+    assert "Atlas SILEM falls 1 " in words(output(page, "walks"))
+    assert "SILEM demonstration's states falls 1 " in words(output(page, "starts"))
     assert "2,000" in words(output(page, "long"))
     claimed = words(output(page, "claims"))
     assert all(claim.text in claimed for claim in claims.of("humanoids"))
     assert int(spoken["n_undecided"]) == int(spoken["n_claims"])  # one trial decides nothing
     for cell_id, said_there in {
-        "why": "Humanoid TPIL – – – not run yet", "search": "its own – – –",
+        "why": "Humanoid TPIL – – – not run yet", "search": "clip range 0.2 – – –",
         "limbs": "HumanoidR 0 1.32 → – ", "gap": "open: too few trials",
     }.items():  # fmt: skip
         assert said_there in words(output(page, cell_id)), cell_id

@@ -73,20 +73,20 @@ def test_figure_2d_shows_scores_speeds_and_steps(frame: pd.DataFrame) -> None:
     experts = [lines_at(axes, style.METHODS["ppo"].color) for axes in (score, speed)]
     assert not [line for line in experts[0] if line.get_marker() == "P"] and experts[1]
     assert len([line for line in score.lines if line.get_marker() == "X"]) == 7  # random policies
-    assert "trials of a cell: 3 to 3" in footer(score.figure)
+    assert "trials of a cell: 3;" in footer(score.figure)
 
 
 @synthetic.study("empty")
 def test_without_runs_figure_2d_is_empty_slots(frame: pd.DataFrame) -> None:
     assert texts(scores.normalised_scores(frame)).count("no run") == 7 * (4 + 5 + 5)
-    assert "not run yet" in texts(ants.tracking(frame))
+    assert "no run" in texts(ants.tracking(frame))
 
 
 @synthetic.study("partial")
 def test_steps_stand_beside_the_return(frame: pd.DataFrame) -> None:
     table = tables.cell_table(frame).data
-    assert list(table)[3:5] == ["return", "steps"] and len(table) == 35
-    rows = table.set_index(["body", "method"])["steps"]
+    assert list(table)[3:5] == ["return", "steps of an episode"] and len(table) == 35
+    rows = table.set_index(["body", "method"])["steps of an episode"]
     mean = results.scores(frame, "silem-minus", "Ant6", "steps").mean()
     assert rows["Ant6", "SILEM⁻ (Ant0 expert)"].startswith(f"{mean:,.0f}<br>")
     assert rows["Ant5", "SILEM"] == style.DASH
@@ -114,20 +114,23 @@ def test_survival_is_taken_out_of_both_returns(frame: pd.DataFrame) -> None:
 @synthetic.study("empty")
 def test_without_runs_survival_and_tracking_say_so(frame: pd.DataFrame) -> None:
     assert ants.survival(frame).isna().all(axis=None)
-    assert "not run yet" in ants.tracking_says(ants.correlations(frame))
-    table = ants.absorbing_table(frame, results.load_records("ant-absorbing", "book")).data
-    assert (table.filter(like="trials") == "not run yet").all(axis=None) and len(table) == 4
+    assert ants.correlations(frame).empty
+    assert beside(frame)["trials"].eq("0").all() and len(beside(frame)) == 8
+
+
+def beside(frame: pd.DataFrame) -> pd.DataFrame:
+    frames = {"no": frame, "yes": results.load_records("ant-absorbing", "book")}
+    return tables.beside("absorbing states", frames, scores.IMITATORS)
 
 
 def test_absorbing_states_are_compared_on_the_seeds_of_both(frame: pd.DataFrame) -> None:
     configs = study_configs("ant-absorbing", "book", 2, body=["Ant6"], method=["silem"])
     for config in configs:
         synthetic.write_record(config, 1000.0 + 40 * config.seed)
-    table = ants.absorbing_table(frame, results.load_records("ant-absorbing", "book")).data
-    row = table.set_index([("", "body"), ("", "method")]).loc[("Ant6", "SILEM")]
-    assert (row["as the paper", "trials"], row["absorbing states", "trials"]) == ("3", "2")
+    rows = beside(frame).set_index(["body", "method"]).loc[("Ant6", "SILEM")]
+    assert list(rows["trials"]) == ["3", "2"]
     gain = 1020.0 - results.scores(frame, "silem", "Ant6", "return_mean").mean()
-    told = row["difference", "in return [95 %]"].replace("−", "-").replace(",", "")
+    told = rows["difference in return"].iloc[1].replace("−", "-").replace(",", "")
     assert float(told.partition(" ")[0]) == pytest.approx(gain, abs=10) and "[" in told
 
 
@@ -136,11 +139,8 @@ def test_what_tracks_the_length_is_found_and_little_else(frame: pd.DataFrame) ->
     assert len(found) == 2 * synthetic.N_FEATURES["ant"]
     (velocity,) = found[(found["entry"] == "A") & (found["feature"] == "forward velocity")].index
     assert found.loc[velocity, "rho"] > 0.9 and found.loc[velocity, "low"] > 0.8
-    others = found.drop(velocity)
-    assert ((others["low"] > 0) | (others["high"] < 0)).mean() < 0.15
-    said = ants.tracking_says(found)
-    assert said.startswith("Of 56 entries") and "2.8 would" in said
-    assert "The strongest: A of forward velocity (" in said
+    assert found["sure"].equals((found["low"] > 0) | (found["high"] < 0)) and found.sure[velocity]
+    assert found["sure"].drop(velocity).mean() < 0.15
     blue = lines_at(ants.tracking(frame).axes[0], style.METHODS["silem"].color)
     assert any(line.get_marker() == "o" and line.get_xdata()[0] > 0.9 for line in blue)
 
@@ -198,4 +198,4 @@ def test_what_is_undecided_has_too_few_trials(frame: pd.DataFrame) -> None:
     assert found.loc["SILEM beats SILEM⁻ on Ant3", "reason"] == "too few trials: SILEM⁻ 1; 3 needed"
     assert found.loc["SILEM beats SILEM⁻ on Ant6", "verdict"] == HOLDS
     level = found.loc["SILEM reaches expert level on Ant2", "reason"]
-    assert level == "too few trials: expert 0; 3 needed"
+    assert level == "too few trials: PPO 0; 3 needed"

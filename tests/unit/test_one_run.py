@@ -68,7 +68,7 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_curve_shows_what_the_run_knows(record) -> None:
     expert = curves.of_run(record(RunConfig.create("HC0", "ppo")))
     assert [axes.get_title(loc="left") for axes in expert.axes] == [
-        "return of an episode", "forward speed (m/s)", "policy's standard deviation",
+        "return", "speed (m/s)", "policy's standard deviation",
     ]  # fmt: skip
     imitator = curves.of_run(record(RunConfig.create("HC0", "silem")))
     titles = [axes.get_title(loc="left") for axes in imitator.axes]
@@ -92,7 +92,7 @@ def test_transform_of_a_run_without_one_is_an_error(record) -> None:
 def test_one_run_of_a_humanoid(record) -> None:
     run = record(RunConfig.create("HumanoidR", "silem"))
     titles = [axes.get_title(loc="left") for axes in curves.of_run(run).axes]
-    assert titles[:2] == ["return of an episode", "steps before a fall"]
+    assert titles[:2] == ["return", "steps before a fall"]
     left, _ = transforms.of_run(run).axes
     assert [tick.get_text() for tick in left.get_yticklabels()] == feature_names("HumanoidR")
 

@@ -94,12 +94,10 @@ def test_ensembles_are_told_apart_by_their_maps(data: Path) -> None:
     one = {"halfcheetah": ["HC0", "HC2"], "ant": ["Ant6"]}
     found = tables.ensembles(page.runs("ensembles", one, ("silem", "silem-mlp"), "book")).data
     trials = found.set_index(["body", "f"])["trials"]
-    assert trials["HC0", "affine, K = 1"] == trials["HC0", "MLP"] == "one trial"
-    assert (
-        trials["HC0", "affine, K = 4"] == "2 trials" and trials["Ant6", "affine, K = 4"] == "no run"
-    )
-    apart = found.set_index(["body", "f"])["maps apart"]
-    assert apart["HC0", "affine, K = 1"] == "–" and apart["HC0", "affine, K = 4"].endswith("%")
+    assert trials["HC0", "affine, K = 1"] == trials["HC0", "MLP"] == "1"
+    assert trials["HC0", "affine, K = 4"] == "2" and trials["Ant6", "affine, K = 4"] == "0"
+    apart = found.set_index(["body", "f"])["maps apart (%)"]
+    assert apart["HC0", "affine, K = 1"] == "–" and apart["HC0", "affine, K = 4"].isdigit()
     means = found.set_index(["body", "f"])["return"].str.partition("<")[0]
     for count in (2, 4, 8):
         assert float(means["HC0", f"affine, K = {count}"]) == pytest.approx(100 * count, abs=10)

@@ -108,7 +108,7 @@ def test_the_table_has_the_man_first_and_means_over_a_cells_trials(frame: pd.Dat
     assert float(statue["from his movement"]) > 0.5
     row = one[(one["body"] == "Humanoid") & (one["method"] == "SILEM")].iloc[0]
     assert (row["steps/s"], row["trials"]) == ("1.50", "2")
-    assert row["stance, L / R"] == "0.60 / –"
+    assert (row["stance, left"], row["stance, right"]) == ("0.60", "–")
 
 
 def test_measures_are_those_of_the_policys_episodes(
@@ -166,6 +166,8 @@ def test_every_rival_has_as_many_runs_of_a_search_as_silem_had() -> None:
     table = walking.search_table(results.load_records("rivals-search", "book"))
     counts = [(table[name] == style.DASH).sum() for name in ("SILEM⁻", "TPIL", "Peng20")]
     assert counts == [len(silem)] * 3
+    deeper = table.set_index("setting").loc["layers of the encoder 2"]
+    assert deeper.to_dict() == {"Peng20": "not tried", "SILEM⁻": "not tried", "TPIL": style.DASH}
 
 
 def test_the_toy_of_the_reversal_is_drawn_and_told() -> None:

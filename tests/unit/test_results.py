@@ -132,10 +132,6 @@ def test_tables_of_several_budgets_are_refused(data: Path) -> None:
     tiny, book = (results.load_records("halfcheetah", name) for name in ("tiny", "book"))
     with pytest.raises(SilemError, match="load_records"):
         results.context(pd.concat([tiny, book]))
-    mixed = pd.concat([book, tiny])
-    mixed.attrs = book.attrs
-    with pytest.raises(SilemError, match="mixed budgets on HC0"):
-        results.context(mixed)
 
 
 def test_selecting_narrows_runs_and_missing_runs_alike(frame: pd.DataFrame) -> None:

@@ -68,8 +68,8 @@ def test_verdict_rule(
 ) -> None:
     measure = Measure(("silem", "HC0"), "return_mean", lower=lower, upper=upper)
     assert Finding(measure, 1.5, interval, {"SILEM": 5}).verdict[0] == verdict
-    few = Finding(measure, 1.5, interval, {"SILEM": 5, "expert": 2})
-    assert few.verdict == (UNDECIDED, "too few trials: expert 2; 3 needed")
+    few = Finding(measure, 1.5, interval, {"SILEM": 5, "PPO": 2})
+    assert few.verdict == (UNDECIDED, "too few trials: PPO 2; 3 needed")
 
 
 def test_undecided_gives_its_true_reason() -> None:
@@ -79,7 +79,7 @@ def test_undecided_gives_its_true_reason() -> None:
     nan = (float("nan"), float("nan"))
     assert "not above zero" in Finding(score, float("nan"), nan, {"SILEM": 3}).verdict[1]
     # No value because there is no run is no fault of the expert's.
-    assert Finding(score, float("nan"), nan, {"SILEM": 0, "expert": 5}).verdict[1] == (
+    assert Finding(score, float("nan"), nan, {"SILEM": 0, "PPO": 5}).verdict[1] == (
         "too few trials: SILEM 0; 3 needed"
     )
 
@@ -94,7 +94,7 @@ def test_every_rule_is_data_that_says_itself() -> None:
                 assert measure.rule in claim.rule
     assert SPEED.rule == "speed (m/s) above 1.00"
     assert Measure(("a", "b"), "disc_reward", less=("c", "b"), lower=-100.0).rule == (
-        "difference in reward of D above −100"
+        "difference in discriminator reward above −100"
     )
 
 
@@ -132,7 +132,9 @@ def test_scorecard_reads_the_records(frame: pd.DataFrame) -> None:
     silem = judged(frame, REACHES + "HC2")["findings"][0]
     assert silem.ours == pytest.approx(results.scores(frame, "silem", "HC2").mean())
     assert silem.interval[0] < silem.ours < silem.interval[1]
-    assert silem.of_best == pytest.approx(results.against_best(frame, "silem", "HC2").mean())
+    best = results.scores(frame, "ppo", "HC2", "return_mean").max()
+    returns = results.scores(frame, "silem", "HC2", "return_mean")
+    assert silem.of_best == pytest.approx(returns.mean() / best)
     assert silem.of_best < silem.ours
     for text in (
         "SILEM beats SILEM⁻ on HC1",

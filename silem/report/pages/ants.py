@@ -3,24 +3,18 @@
 Everywhere `frame` holds the runs of one study at one budget, from `results.load_records`.
 """
 
-from typing import Any
+from itertools import product
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from pandas.io.formats.style import Styler
 
 from silem import bodies
 from silem.bodies.body import MAX_STEPS
-from silem.report import results, scores, statistics, style, tables, transforms
+from silem.report import results, scores, statistics, style, transforms
 from silem.report.scores import IMITATORS
-from silem.report.style import number
-from silem.report.transforms import feature_names
-from silem.study.studies import narrowed
 
-_FEWEST_BODIES, _NAMED = 4, 3  # that a rank correlation takes; entries that the sentence names
+_FEWEST_BODIES = 4  # that a rank correlation takes
 _ENTRIES = {"A": ("A, diagonal", 0.0), "b": ("b, offset", 0.0)}
-_COLUMNS = ("entry", "feature", "rho", "low", "high")
 SHARE, STANDING = "survival, of the expert's return", "standing"
 
 
@@ -32,82 +26,36 @@ def survival(frame: pd.DataFrame) -> pd.DataFrame:
     standing for a whole episode at no cost. Of each imitator there is its score, and the same
     ratio of what is left when survival is taken out of both returns.
     """
-    rows, original = [], results.original_body(frame)
-
-    def mean(method: str, body: str, column: str) -> float:
-        values = results.scores(frame, method, body, column)
-        return float(values.mean()) if len(values) else np.nan
-
-    for body in results.body_names(frame):
-        level, steps = (mean("ppo", body, column) for column in ("return_mean", "steps"))
-        row: dict[str, Any] = {"body": body, SHARE: steps / level, STANDING: MAX_STEPS / level}
-        for method in IMITATORS:
-            label = style.method(method, original).label
-            earned, lasted = (mean(method, body, column) for column in ("return_mean", "steps"))
-            rest = level - steps if level > steps else np.nan
-            row |= {label: earned / level, f"{label}, moving": (earned - lasted) / rest}
-        rows.append(row)
-    return pd.DataFrame(rows).set_index("body")
-
-
-def absorbing_table(plain: pd.DataFrame, absorbing: pd.DataFrame) -> Styler:
-    """Return the cells of the second table beside the same trials of the first, and what differs.
-
-    Only seeds that both plan are compared. The interval is Welch's, from two trials each on.
-    """
-    rows, (study, budget) = [], results.context(absorbing)
-    seeds = narrowed(study, budget).seeds
-    for body in results.body_names(absorbing):
-        for method in (m for m in IMITATORS if results.is_planned(absorbing, m, body)):
-            label = style.method(method, results.original_body(plain)).label
-            row: dict[Any, str] = {("", "body"): body, ("", "method"): label}
-            returns = []
-            for name, frame in {"as the paper": plain, "absorbing states": absorbing}.items():
-                runs = results.cell(frame, method, body)
-                runs = runs[runs["seed"].isin(seeds)]
-                returns.append(runs["return_mean"].to_numpy(dtype=np.float64))
-                row[name, "trials"] = str(len(runs)) if len(runs) else "not run yet"
-                row[name, "return"] = number(runs["return_mean"].mean())
-                row[name, "steps"] = number(runs["steps"].mean())
-                row[name, "m/s"] = number(runs["speed_m_s"].mean(), 2)
-            low, high = statistics.interval(returns[1], returns[0])
-            gain = returns[1].mean() - returns[0].mean() if all(map(len, returns)) else np.nan
-            text = number(gain) + ("" if np.isnan(low) else f" [{number(low)} to {number(high)}]")
-            rows.append(row | {("difference", "in return [95 %]"): text})
-    return tables.styled(pd.DataFrame(rows))
+    size = {"index": results.body_names(frame), "columns": ["ppo", *IMITATORS]}
+    earned, lasted = (
+        frame.pivot_table(column, "body", "method").reindex(**size).astype(float)
+        for column in ("return_mean", "steps")
+    )
+    level, steps = earned["ppo"], lasted["ppo"]
+    table = pd.DataFrame({SHARE: steps / level, STANDING: MAX_STEPS / level})
+    for method in IMITATORS:
+        label = style.method(method, results.original_body(frame)).label
+        rest = (level - steps).where(level > steps)
+        table[label] = earned[method] / level
+        table[f"{label}, moving"] = (earned[method] - lasted[method]) / rest
+    return table.rename_axis("body")
 
 
 def correlations(frame: pd.DataFrame) -> pd.DataFrame:
     """Return how each entry of SILEM's T goes with the length of its body's links, over all trials.
 
-    Columns are ``entry`` ("A" or "b"), ``feature``, Spearman's ``rho``, and ``low`` and ``high`` of
-    its 95 % interval. Without trials of `_FEWEST_BODIES` bodies there is no row.
+    Columns are ``entry`` ("A" or "b"), ``feature``, Spearman's ``rho``, ``low`` and ``high`` of its
+    95 % interval, and whether zero is outside, ``sure``. Without trials of
+    `_FEWEST_BODIES` bodies there is no row.
     """
     runs, rows = results.select(frame, ["silem"]), []
     if runs["body"].nunique() >= _FEWEST_BODIES:
-        lengths = [bodies.get(body).length[1] for body in runs["body"]]
-        learned = [results.load_transform(run_id) for run_id in runs["run_id"]]
-        for entry in _ENTRIES:
-            columns = np.array([arrays[entry] for arrays in learned]).T
-            for feature, values in zip(feature_names(runs["body"][0]), columns, strict=True):
-                rows.append((entry, feature, *statistics.rank_correlation(lengths, values)))
-    return pd.DataFrame(rows, columns=list(_COLUMNS))
-
-
-def tracking_says(found: pd.DataFrame) -> str:
-    """Say which entries of `correlations` track the links' length, and how many do by chance."""
-    if found.empty:
-        return f"T has not been learned on {_FEWEST_BODIES} bodies yet: not run yet."
-    sure = found[(found["low"] > 0) | (found["high"] < 0)]
-    chance = number((1 - statistics.LEVEL) * len(found), 1)
-    text = f"Of {len(found)} entries of A and b the intervals of {len(sure)} exclude zero"
-    text += f"; {chance} would where nothing tracks anything."
-    strongest = sure.loc[sure["rho"].abs().sort_values(ascending=False).index].head(_NAMED)
-    named = []
-    for row in strongest.itertuples():
-        rho, low, high = (number(value, 2) for value in (row.rho, row.low, row.high))
-        named.append(f"{row.entry} of {row.feature} ({rho}, {low} to {high})")
-    return f"{text} The strongest: {'; '.join(named)}." if named else text
+        learned = transforms.learned(runs)
+        for entry, (feature, of_one) in product(_ENTRIES, learned.groupby("feature", sort=False)):
+            lengths = [bodies.get(body).length[1] for body in of_one["body"]]
+            rows.append((entry, feature, *statistics.rank_correlation(lengths, of_one[entry])))
+    found = pd.DataFrame(rows, columns=["entry", "feature", "rho", "low", "high"])
+    return found.assign(sure=found["low"] * found["high"] > 0)
 
 
 @style.applied()
@@ -119,10 +67,7 @@ def tracking(frame: pd.DataFrame) -> Figure:
     for entry, axes in panels.items():
         axes.set(xlim=(-1.05, 1.05), xlabel="rank correlation with the links' length")
         for place, row in zip(places, found[found["entry"] == entry].itertuples(), strict=False):
-            sure = row.low > 0 or row.high < 0
-            color = style.method("silem").color if sure else style.MUTED
+            color = style.method("silem").color if row.sure else style.MUTED
             axes.plot([row.low, row.high], [place, place], color=color, lw=1.4)
             axes.plot(row.rho, place, "o", color=color, ms=4.5)
-        if found.empty:
-            style.say(axes, "not run yet")
     return scores.finish(figure, runs, note="lines: 95 % intervals; blue: zero is outside")

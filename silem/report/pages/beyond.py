@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from silem.report import results, scores, style
 from silem.study.evaluate import evaluate, load_policy
+from silem.study.studies import BOTH
 from silem.study.training import task_options
 from silem.util import seeding
 
-BOTH = ("silem", "silem-minus")
 LOSING, OWN = (*BOTH, "tpil"), "silem-minus-own"
 LADDER = (*LOSING, OWN)
 ARMS = (0.5, 0.75, 1.0, 1.25, 1.5)
@@ -45,7 +45,7 @@ def ladder(frame: pd.DataFrame, lengths: Mapping[str, float], label: str) -> Fig
     own = frame[frame["method"].eq(OWN)].groupby("body")["return_mean"].mean()
     level = frame["body"].map(own.where(own > 0)).astype(float)
     frame = frame.assign(share=frame["return_mean"] / level)
-    columns = {"share": "Return over SILEM⁻'s, own expert", "speed_m_s": "Forward speed (m/s)"}
+    columns = {"share": "Return over SILEM⁻'s, own expert", "speed_m_s": "Speed (m/s)"}
     figure = scores.against(frame, lengths, label, columns, LADDER)
     axes = figure.axes[0]
     axes.axhline(_LOST, color=style.MUTED, lw=1, ls=style.DASHED)
@@ -78,7 +78,7 @@ def half_points(frame: pd.DataFrame, lengths: Mapping[str, float]) -> pd.DataFra
                 for _ in range(RESAMPLES)
             ]
             found = [_half(at, *cells), *np.quantile(drawn, (0.025, 0.975), method="nearest")]
-        row = rows.setdefault(style.method(method, "", short=True).label, {})
+        row = rows.setdefault(style.METHODS[method].short, {})
         row |= {(what, name): value for name, value in zip(names, found, strict=True)}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
 

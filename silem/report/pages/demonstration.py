@@ -5,6 +5,7 @@ other pages on humanoids.
 """
 
 import itertools
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ _CHAINS = (
     *((f"{side}_shoulder", f"{side}_elbow", f"{side}_hand") for side in SIDES),
     *((f"{side}_hip", f"{side}_knee", f"{side}_foot") for side in SIDES),
 )
-_N_POSES = 6
+N_POSES = 5
 _AXES = {"x": "forward", "y": "left", "z": "up"}
 _PANELS: tuple[tuple[str, tuple[str, ...]], ...] = (
     *(
@@ -99,22 +100,28 @@ def handles(what: str) -> list[Line2D]:
 
 
 @style.applied()
-def poses(motion: Motion) -> Figure:
-    """Draw poses at equal times, seen from the right, with the paths of hands and feet."""
-    seen = from_the_right(motion.points)
-    (width_m, _), top_m = np.ptp(seen, axis=(0, 1)) + 2 * MARGIN_M, seen[..., 1].max()
-    height_in = style.WIDTH_IN * (top_m + 2 * MARGIN_M) / width_m + 0.7
-    figure, axes = style.new_figure(height_in)
-    floor(axes, seen)
-    axes.set(ylim=(-0.1, top_m + 0.25), xlabel="x, forward (m)", ylabel="z, up (m)")
-    for name in ("left_hand", "right_hand", "left_foot", "right_foot"):
-        path = seen[:, POINTS.index(name)].T
-        axes.plot(*path, color=side_color(name), lw=0.8, alpha=0.6)
-    for state in equal_times(len(seen), _N_POSES):
-        draw(axes, seen[state])
-        x, y = seen[state, POINTS.index("head")]
-        label = f"{state / motion.rate_hz:.2f} s"
-        axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
+def poses(walks: Mapping[str, np.ndarray], rate_hz: float) -> Figure:
+    """Draw poses at equal times, seen from the right, with the paths of hands and feet.
+
+    `walks` are landmarks (T, P, 3) by whose they are, one below the other in one scale.
+    """
+    seen = {name: from_the_right(points) for name, points in walks.items()}
+    everything = np.concatenate(list(seen.values()))
+    (width_m, _), top_m = np.ptp(everything, axis=(0, 1)) + 2 * MARGIN_M, everything[..., 1].max()
+    height_in = len(walks) * (style.WIDTH_IN * (top_m + 2 * MARGIN_M) / width_m + 0.5) + 0.4
+    figure, grid = style.new_figure(height_in, nrows=len(walks), sharex=True, squeeze=False)
+    for axes, (name, points) in zip(grid.flat, seen.items(), strict=True):
+        floor(axes, everything)
+        axes.set(ylim=(-0.1, top_m + 0.25), ylabel="z, up (m)", title=name)
+        for limb in ("left_hand", "right_hand", "left_foot", "right_foot"):
+            path = points[:, POINTS.index(limb)].T
+            axes.plot(*path, color=side_color(limb), lw=0.8, alpha=0.6)
+        for state in equal_times(len(points), N_POSES):
+            draw(axes, points[state])
+            x, y = points[state, POINTS.index("head")]
+            label = f"{state / rate_hz:.2f} s"
+            axes.text(x, y + 0.1, label, ha="center", va="bottom", color=style.MUTED)
+    grid[-1, 0].set_xlabel("x, forward (m)")
     return style.finish(figure, handles("side"), ncols=2)
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping
+from functools import partial
 from typing import NamedTuple
 
 import matplotlib as mpl
@@ -20,20 +21,14 @@ from silem.report import film, results, scores, style, tables
 from silem.report.style import number
 from silem.report.transforms import feature_groups
 from silem.study import evaluate, runs
-from silem.study.config import TRIAL_SEEDS
 from silem.study.evaluate import load_policy, record_episodes
 from silem.study.runs import RunRecord
-from silem.study.studies import cells, experts
+from silem.study.studies import BOTH, experts
 from silem.util.errors import SilemError, choose
 
-_METHODS = ("silem", "silem-minus")
 _STRIDE_S = (0.15, 1.0)  # no stride is shorter or longer
 _PHASES = np.linspace(0, 1, 50)
 _CHANCE = 0.05
-_UNLIKE = {
-    "clip_actions": "Actions handed on as they are, not clipped",
-    "anneal_clip": "A clip range that falls with the learning rate",
-}
 
 
 class ExpertGait(NamedTuple):
@@ -109,20 +104,6 @@ def chosen(body: str, budget: str) -> tuple[str, str]:
     )
 
 
-def unlike_ppo1(records: pd.DataFrame, budget: str) -> str:
-    """Say, of what the experts' PPO does unlike ppo1, what HC0's expert returns without it."""
-    usual = results.cell(records, "ppo", "HC0")["return_mean"]
-    span = f"{number(usual.min())} to {number(usual.max())} ({style.trials(len(usual))})"
-    lines = []
-    for cell in (cell for cell in cells("fidelity") if cell.body == "HC0"):
-        ((name, _),), told = cell.overrides, "not run yet"
-        if run := runs.find(cell.config(budget, TRIAL_SEEDS[0]).run_id):
-            found = run.evaluation
-            told = f"{number(found['return_mean'])} at {number(found['speed_m_s'], 2)} m/s"
-        lines.append(f"- **{_UNLIKE[name]}**: {told}; otherwise {span}.")
-    return "\n".join(lines)
-
-
 def table(shown: Shown, demonstrator_name: str) -> Styler:
     """Return the trials' gaits: return and failures as evaluated, the rest as recorded."""
     rows = []
@@ -189,7 +170,6 @@ def draw_strides(shown: Shown, demonstrator_name: str) -> Figure:
         axes.set_xlim(0, 1)
         axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
         if found is None:
-            style.say(axes, "no run")
             continue
         episodes = found.demonstrations.features
         cut = np.concatenate([strides(evaluate.pitch_rad(states)) for states in episodes])
@@ -214,12 +194,11 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
     """
     names = sorted(shown, key=lambda name: e.gait.pitch_rad if (e := shown[name]) else np.inf)
     found = {x: e.gait for x, name in enumerate(names) if (e := shown[name])}
-    score, learners = _score_column(frame), results.body_names(frame)
-    titles = {score: "score" if score == "normalised" else "return", "speed_m_s": "speed (m/s)"}
+    learners, quantities = results.body_names(frame), ("normalised", "speed_m_s")
     size = {"nrows": 2, "ncols": len(learners), "squeeze": False}
     figure, grid = style.new_figure(4.6, sharex=True, sharey="row", **size)
     for row, column in itertools.product(range(2), range(len(learners))):
-        axes, quantity, body = grid[row, column], list(titles)[row], learners[column]
+        axes, quantity, body = grid[row, column], quantities[row], learners[column]
         touch = nose_touch_pitch_rad(bodies.of_kind(body, BulletBody))
         axes.set(xlim=(-0.5, len(names) - 0.5))
         axes.update_datalim([(0, 0), (0, 1)])  # no zooming in on a lone run
@@ -233,15 +212,15 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
         if row == 0:
             axes.set_title(f"{body}: nose on the floor from {number(touch[0], 2)} rad")
         if column == 0:
-            axes.set_ylabel(titles[quantity])
+            axes.set_ylabel(style.QUANTITIES[quantity].heading)
         for x, name in enumerate(names):
             here = frame[(frame["body"] == body) & (frame["demonstrations"] == name)]
             if row == 0 and here[quantity].isna().all():  # said once
                 style.empty_slot(axes, x, "no run" if here.empty else "no expert")
-            for method, offset in zip(_METHODS, (-0.14, 0.14), strict=True):
+            for method, offset in zip(BOTH, (-0.14, 0.14), strict=True):
                 values = here[here["method"] == method][quantity].dropna().to_numpy()
                 if len(values):
-                    scores.draw_trials(axes, x + offset, values, method)
+                    scores.draw_trials(axes, x + offset, values, style.METHODS[method])
             if row == 1 and x in found:
                 axes.hlines(found[x].speed_m_s, x - 0.3, x + 0.3, color=style.MUTED, lw=1.4)
         labels = [f"trial {_trial(name)}\n" for name in names]
@@ -250,7 +229,7 @@ def imitated(frame: pd.DataFrame, shown: Shown) -> Figure:
         labels = [label + about.get(x, "no run") for x, label in enumerate(labels)]
         axes.set_xticks(range(len(names)), labels)
         axes.tick_params(axis="x", labelsize=7.5, length=0)
-    handles = style.marks((style.method(method, short=True) for method in _METHODS), ms=7)
+    handles = scores.methods_of(frame, BOTH)
     handles.append(style.handle(style.MUTED, "the demonstrator itself", lw=1.4))
     label = "its nose touches the floor"
     handles.append(style.handle(style.WARNING, label, lw=1.2, ls=style.DASHED))
@@ -279,57 +258,41 @@ def effects(values: np.ndarray) -> tuple[float, float, float, float]:
     return rows / total, columns / total, rows_p, float(stats.ttest_rel(first, second).pvalue)
 
 
-def decided(frame: pd.DataFrame, shown: Shown) -> str:
-    """Say of each body what moved the scores: who demonstrated, or the transform.
+def decided(frame: pd.DataFrame, shown: Shown) -> Styler:
+    """Return what moved the scores of each body: who demonstrated, or the transform.
 
     An analysis of variance without replication: demonstrators are rows, methods columns, and what
     neither explains is the error that both are tested against (F tests at 5 %).
     """
-    score, lines = _score_column(frame), []
-    write = {"digits": 2 if score == "normalised" else 0}
+    table, write = [], partial(number, digits=2)
     for body in results.body_names(frame):
-        by_method = frame[frame["body"] == body].pivot_table(score, "demonstrations", "method")
-        both = by_method.reindex(columns=list(_METHODS)).dropna()
-        known = f"{len(both)} of {len(shown)} demonstrators have both scores."
-        if len(both) < 2:
-            lines.append(f"- **{body}**: not to be told yet; {known}")
-            continue
-        means = both.mean(axis=1).rename(_trial)
-        rows, columns, rows_p, columns_p = effects(both.to_numpy())
-        verdict = {
-            (True, True): "Both the teacher and the transform matter.",
-            (True, False): "The teacher decided, not the transform.",
-            (False, True): "The transform decided, not the teacher.",
-            (False, False): "Neither can be told from chance with these runs.",
-        }[rows_p < _CHANCE, columns_p < _CHANCE]
-        gain = number(float((both["silem"] - both["silem-minus"]).mean()), **write)
-        lines.append(
-            f"- **{body}**: {known} Between them the score goes from"
-            f" {number(means.min(), **write)} (trial {means.idxmin()}) to"
-            f" {number(means.max(), **write)} (trial {means.idxmax()}); the transform"
-            f" changes it by {gain} on average. {number(100 * rows)} % of the variance"
-            f" goes with the demonstrator (p = {rows_p:.2g}),"
-            f" {number(100 * columns)} % with the transform (p = {columns_p:.2g}),"
-            f" the rest with chance and how the two meet. {verdict}"
-        )
-    return "\n".join(lines)
+        of_body = frame[frame["body"] == body]
+        both = of_body.pivot_table("normalised", "demonstrations", "method")
+        both = both.reindex(columns=list(BOTH)).dropna()
+        row = {"body": body, "both scores": f"{len(both)} of {len(shown)} demonstrators"}
+        if len(both) >= 2:
+            means = both.mean(axis=1).rename(_trial)
+            row["worst teacher"] = f"{write(means.min())}, trial {means.idxmin()}"
+            row["best teacher"] = f"{write(means.max())}, trial {means.idxmax()}"
+            row["gain by T"] = write(float((both["silem"] - both["silem-minus"]).mean()))
+            rows, columns, rows_p, columns_p = effects(both.to_numpy())
+            row["variance by teacher"] = f"{number(100 * rows)} % (p = {rows_p:.2g})"
+            row["by transform"] = f"{number(100 * columns)} % (p = {columns_p:.2g})"
+            causes = ["teacher"] * (rows_p < _CHANCE) + ["transform"] * (columns_p < _CHANCE)
+            row["decided by"] = " and ".join(causes) or "chance, as far as these runs tell"
+        table.append({"decided by": "not to be told yet"} | row)
+    return tables.styled(pd.DataFrame(table).fillna(style.DASH))
 
 
 def extremes(frame: pd.DataFrame) -> dict[str, RunRecord]:
     """Return the study's best and worst run, by what to call them; nothing without any score."""
-    ordered = frame.dropna(subset=[_score_column(frame)]).sort_values(_score_column(frame))
+    ordered = frame.dropna(subset="normalised").sort_values("normalised")
     ends = ordered.iloc[[-1, 0][: len(ordered)]]
     return {
-        f"{word}: {run.body}, {style.method(run.method, short=True).label},"
+        f"{word}: {run.body}, {style.METHODS[run.method].short},"
         f" trial {_trial(run.demonstrations)}": results.find(run.run_id)
         for word, run in zip(("best", "worst"), ends.itertuples(), strict=False)
     }
-
-
-def _score_column(frame: pd.DataFrame) -> str:
-    """Return the column of scores, or of returns where no expert gives a scale."""
-    known = frame.empty or frame["normalised"].notna().any()
-    return "normalised" if known else "return_mean"
 
 
 def _trial(name: str) -> int | None:

@@ -4,24 +4,17 @@ The search is the study "open-settings". What was tried before it was recorded a
 ``data/search``, one entry per exploratory run; it is history, and no result rests on it.
 """
 
-import math
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from pandas.io.formats.style import Styler
 
-from silem import bodies
-from silem.report import results, style, tables
-from silem.report.curves import QUANTITIES
-from silem.report.style import number
-from silem.study.config import RunConfig
-from silem.study.runs import TRANSFORM
+from silem.report import results, style, tables, transforms
+from silem.report.style import QUANTITIES, number
 from silem.study.settings import HyperParameters
-from silem.study.studies import SEARCHED_FROM, cells, narrowed
+from silem.study.studies import SEARCHED_FROM
 from silem.util import files, paths
 from silem.util.errors import SilemError, choose
 
@@ -29,20 +22,7 @@ NEAR_BEST = 0.02
 """Settings whose score is within this share of the best are as good; the nearer to the paper's, or
 to the default, is taken (`silem.study.studies`)."""
 
-_NAMES = {
-    "disc_learning_rate": "rate of D",
-    "transform_learning_rate": "rate of T",
-    "gradient_penalty": "gradient penalty",
-    "transform_l2_scale": "L2 on A",
-    "transform_l2_bias": "L2 on b",
-    "transform_l2_form": "L2",
-    "disc_entropy_coef": "entropy bonus",
-    "learning_rate": "rate of PPO",
-    "clip_range": "clip range",
-    "passes": "epochs × minibatch",
-    "log_std_init": "first std",
-    "starts": "starts",
-}
+_NEAR_BOUND = 0.1
 
 
 def settings(frame: pd.DataFrame) -> pd.DataFrame:
@@ -52,22 +32,11 @@ def settings(frame: pd.DataFrame) -> pd.DataFrame:
     (it is what the study has now), a body's mean score each, ``score`` (their mean, NaN while a
     body's run is missing) and ``near`` (within `NEAR_BEST` of the method's best).
     """
-    study, budget = results.context(frame)
-    score = frame.set_index("run_id")["normalised"]
-    rows: dict[tuple[str, str], dict[str, Any]] = {}
-    for cell in cells(study):
-        configs = [cell.config(budget, seed) for seed in narrowed(study, budget).seeds]
-        usual = RunConfig.create(cell.body, cell.method, cell.demonstrations).hyper
-        began = SEARCHED_FROM[cell.method]
-        changed = [item for item in cell.overrides if began.get(item[0]) != item[1]]
-        words = [f"{_NAMES.get(n, n)} {_written(n, v)}" for n, v in changed or began.items()]
-        setting = ", ".join(words) if changed else f"as it began: {', '.join(words)}"
-        about = {"method": cell.method, "setting": setting, "in_use": configs[0].hyper == usual}
-        about["first"] = not changed
-        row = rows.setdefault((cell.method, setting), about)
-        row[cell.body] = score.reindex([config.run_id for config in configs]).mean()
-    table = pd.DataFrame(rows.values())
-    table["score"] = table[results.body_names(frame)].mean(axis=1, skipna=False)
+    names, keys = results.body_names(frame), ["method", "setting", "first", "in_use"]
+    tried = tables.searched(frame, SEARCHED_FROM)
+    score = tried.groupby([*keys, "body"], sort=False)["normalised"].mean()
+    table = score.unstack().reindex(score.index.droplevel("body").unique()).reset_index()
+    table["score"] = table[names].mean(axis=1, skipna=False)
     best = table.groupby("method")["score"].transform("max")
     return table.assign(near=table["score"] >= best - NEAR_BEST * best.abs())
 
@@ -81,7 +50,7 @@ def found(frame: pd.DataFrame) -> Styler:
     table, names, write = settings(frame), results.body_names(frame), partial(number, digits=2)
     mean = table["score"].map(write)
     shown = {
-        "method": table["method"].map(partial(_label, names[0])),
+        "method": table["method"].map(lambda name: style.METHODS[name].short),
         "setting": table["in_use"].map({True: "→ ", False: ""}) + table["setting"],
         **{body: table[body].map(write) for body in names},
         "mean": mean.mask(table["near"], "<strong>" + mean + "</strong>"),
@@ -89,22 +58,6 @@ def found(frame: pd.DataFrame) -> Styler:
     near = "Scores (1: the mean of the body's own PPO experts); bold: best, or within"
     caption = f"{near} {100 * NEAR_BEST:g} % of it; →: in the study now; –: no run"
     return tables.styled(pd.DataFrame(shown), caption)
-
-
-def says(frame: pd.DataFrame) -> str:
-    """Say of each method which setting is the best so far, and what it gains on the first."""
-    sentences = []
-    for method, tried in settings(frame).groupby("method", sort=False):
-        name, known = _label("HC1", str(method)), tried.dropna(subset=["score"])
-        text = f"{name}: {len(known)} of {len(tried)} settings have their runs on both bodies"
-        if len(known):
-            best = known.loc[known["score"].idxmax()]
-            text += f"; the best is {best['setting']}, {number(best['score'], 2)}"
-            first = known.loc[known["first"], "score"]
-            if len(first) and not best["first"]:
-                text += f" ({number(first.max(), 2)} where the search began)"
-        sentences.append(f"{text}.")
-    return " ".join(sentences)
 
 
 def travel_allowed(hyper: HyperParameters, n_iterations: int) -> float:
@@ -120,53 +73,26 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     Columns are ``run_id``, ``body``, ``allowed`` (`travel_allowed`), ``A`` and ``b``: the largest
     distances of an entry of A from 1 and of b from 0.
     """
-    rows = []
-    for run_id in pd.concat([frame["run_id"] for frame in frames]).unique():
-        record = results.find(run_id)
-        if TRANSFORM in record.files:
-            config, arrays = record.run_config, results.load_transform(run_id)
-            allowed = travel_allowed(config.hyper, config.budget.n_iterations)
-            largest = {"A": np.abs(arrays["A"] - 1).max(), "b": np.abs(arrays["b"]).max()}
-            rows.append({"run_id": run_id, "body": config.body, "allowed": allowed} | largest)
-    return pd.DataFrame(rows, columns=["run_id", "body", "allowed", "A", "b"])
-
-
-def travel_says(table: pd.DataFrame) -> str:
-    """Say how many transforms went to where their rate lets them, within a tenth."""
-    if table.empty:
-        return "No run with an affine transform has been published at this budget yet."
-    largest = table[["A", "b"]].max(axis=1) / table["allowed"]
-    return (
-        f"Of {len(table)} transforms {int((largest > 0.9).sum())} went to their bound, or within a"
-        f" tenth of it; the median of the largest entries lies at"
-        f" {number(100 * largest.median())} % of it."
-    )
+    runs = pd.concat(frames).drop_duplicates("run_id")
+    learned = transforms.learned(runs).set_index(["run_id", "body"])[["A", "b"]].astype(float)
+    far = (learned - [1.0, 0.0]).abs().groupby(level=[0, 1], sort=False).max().reset_index()
+    configs = [results.find(run_id).run_config for run_id in far["run_id"]]
+    return far.assign(allowed=[travel_allowed(c.hyper, c.budget.n_iterations) for c in configs])
 
 
 def travel_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return, as text, medians and largest of the transforms' travel for each body and bound."""
+    """Return, as text, how far the transforms of each body and bound went, and how many stop there.
+
+    Those are at their bound whose largest entry is within a tenth of it.
+    """
     rows = []
     for (body, allowed), runs in table.groupby(["body", "allowed"]):
         row = {"body": body, "runs": str(len(runs)), "rate of T × its steps": f"{allowed:.3g}"}
         for entry, title in (("A", "largest |A − 1|"), ("b", "largest |b|")):
             row[title] = f"{runs[entry].median():.2g}, at most {runs[entry].max():.2g}"
-        rows.append(row)
+        there = runs[["A", "b"]].max(axis=1) > (1 - _NEAR_BOUND) * allowed
+        rows.append(row | {"at their bound": str(there.sum())})
     return pd.DataFrame(rows or [{"body": style.DASH, "runs": "no run"}])
-
-
-def penalty_table(penalised: pd.DataFrame, unpenalised: pd.DataFrame) -> pd.DataFrame:
-    """Return SILEM and SILEM-minus with and without the penalty: means over trials, as text."""
-    rows, frames = [], {"yes": penalised, "no": unpenalised}
-    bodies_and_methods = product(results.body_names(unpenalised), ("silem", "silem-minus"))
-    for (body, method), penalty in product(bodies_and_methods, frames):
-        runs = results.cell(frames[penalty], method, body)
-        row = {"body": body, "method": _label(body, method), "penalty": penalty}
-        row["trials"] = str(len(runs)) if len(runs) else "no run"
-        for name in ("return_mean", "disc_reward", "speed_m_s"):
-            heading, digits = QUANTITIES[name]
-            row[heading] = number(runs[name].mean(), digits)
-        rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame:
@@ -177,8 +103,6 @@ def load(family: str = "halfcheetah", method: str | None = None) -> pd.DataFrame
     for entry in files.read_json(path):
         if missing := {"name", "body", "method", "schedule", "columns", "rows"} - entry.keys():
             raise SilemError(f"{path.name}: an entry lacks {', '.join(sorted(missing))}")
-        if "n_epochs" in entry:
-            entry["passes"] = f"{entry.pop('n_epochs')} × {entry.pop('minibatch_size')}"
         curve = pd.DataFrame(entry.pop("rows"), columns=entry.pop("columns")).astype(float)
         rows.append(entry | {"curve": curve})
     return pd.DataFrame([row for row in rows if method in (None, row["method"])])
@@ -204,29 +128,17 @@ def table(frame: pd.DataFrame) -> pd.DataFrame:
     ordered = frame.join(last).sort_values(
         ["body", "method", "return_mean"], ascending=[True, True, False]
     )
-    varied = [name for name in _NAMES if name in frame and frame[name].nunique() > 1]
+    about = {"name", "body", "method", "schedule", "curve"}
+    varied = [name for name in frame if name not in about and frame[name].nunique() > 1]
     rows = []
     for run in ordered.to_dict("records"):
-        told = {"body": run["body"], "method": _label(run["body"], run["method"])}
+        told = {"body": run["body"], "method": style.METHODS[run["method"]].short}
         row = {"run": run["name"].replace("_", "_<wbr>")}
         row |= {name: value for name, value in told.items() if frame[name].nunique() > 1}
-        row |= {_NAMES[name]: _written(name, run[name]) for name in varied}
+        row |= dict(tables.setting(name, run[name]) for name in varied)
         row["iterations"] = f"{run['iteration']:,.0f} of {run['schedule']:,}"
         for name, (heading, digits) in QUANTITIES.items():
             if name in last and last[name].notna().any():
                 row[heading] = number(run[name], digits)
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _written(name: str, value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    if pd.isna(value):
-        return style.DASH
-    return f"{math.exp(value):.2g}" if name == "log_std_init" else f"{value:g}".replace("e-0", "e-")
-
-
-def _label(body: str, method: str) -> str:
-    original = "" if bodies.get(body).family == "humanoid" else "HC0"
-    return style.method(method, original, short=True).label

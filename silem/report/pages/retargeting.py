@@ -31,7 +31,6 @@ from silem.study.config import RunConfig
 from silem.study.settings import HUMAN
 from silem.util.paths import REPO
 
-_N_POSES = 5
 _TOP_JOINTS = 8
 _LINES = {
     "left hand": (SIDE_COLORS["left"], ("left_hand",)),
@@ -53,27 +52,17 @@ def beside(human: Motion, results: Sequence[IKResult], duration_s: float) -> fil
     return film.grid(clips, n_columns=len(clips))
 
 
-@style.applied()
 def poses(human: Motion, result: IKResult) -> Figure:
     """Draw poses of the man and of a learner, a ring of the tolerance where its hands should be."""
-    states = demonstration.equal_times(len(human.points), _N_POSES)
     walks = {"the man": human.points, result.body: result.points}
-    seen = demonstration.from_the_right(np.concatenate(list(walks.values())))
-    width_m, height_m = np.ptp(seen, axis=(0, 1)) + 2 * demonstration.MARGIN_M
-    height_in = 2 * style.WIDTH_IN * height_m / width_m + 0.6
-    figure, grid = style.new_figure(height_in, nrows=2, sharex=True)
-    for axes, (name, points) in zip(grid, walks.items(), strict=True):
-        demonstration.floor(axes, seen)
-        axes.set(title=name, ylabel="z, up (m)")
-        for state in states:
-            demonstration.draw(axes, demonstration.from_the_right(points[state]))
+    figure = demonstration.poses(walks, human.rate_hz)
+    states = demonstration.equal_times(len(human.points), demonstration.N_POSES)
     wanted = demonstration.from_the_right(hand_targets(human, result)[states])
     for places, color in zip(wanted.swapaxes(0, 1), SIDE_COLORS.values(), strict=True):
         for place in places:
             ring = Circle(place, TOLERANCE_M, fill=False, ec=color, lw=1.2, zorder=5)
-            grid[1].add_patch(ring)
-    grid[1].set_xlabel("x, forward (m)")
-    return style.finish(figure, demonstration.handles("side"), ncols=2)
+            figure.axes[1].add_patch(ring)
+    return figure
 
 
 @style.applied()
@@ -108,7 +97,7 @@ def joint_limits(results: Sequence[IKResult]) -> Figure:
         axes.set(ylim=(_TOP_JOINTS - 0.4, -0.6), xlabel="frames (%)")  # the most frequent on top
         axes.grid(axis="x")
         axes.grid(visible=False, axis="y")
-    return style.finish(figure, demonstration.handles("side"), ncols=2)
+    return style.finish(figure, demonstration.handles("side"), ncols=2, word="none")
 
 
 @style.applied()

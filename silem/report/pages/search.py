@@ -12,36 +12,23 @@ from matplotlib.figure import Figure
 from pandas.io.formats.style import Styler
 from scipy import stats
 
-from silem import paper
 from silem.report import statistics, style, tables
 from silem.report.style import number
 from silem.study.studies import Ranked
 
-_SYMBOLS = {about.parameter: symbol for symbol, about in paper.symbols().items()}
-
-
-def _varied(ranked: Sequence[Ranked]) -> dict[str, list[Any]]:
-    """Return the settings that a search varies, each with its values in order."""
-    found = {
-        name: sorted({entry.settings[name] for entry in ranked})
-        for name in (ranked[0].settings if ranked else ())
-    }
-    return {name: values for name, values in found.items() if len(values) > 1}
-
 
 def table(ranked: Sequence[Ranked]) -> Styler:
-    """Return the ranking: place, settings by the paper's symbols, score, trials, fresh trials."""
-    rows = [
-        {
-            "place": f"{place}{' (supplement)' if entry.is_papers else ''}",
-            **{_SYMBOLS[name]: f"{value:g}" for name, value in entry.settings.items()
-               if name in _SYMBOLS},
-            "score": number(entry.score),
-            "its trials": "; ".join(map(number, entry.returns)),
-            "on fresh seeds": "; ".join(map(number, entry.fresh)) or style.DASH,
-        }
-        for place, entry in enumerate(ranked, 1)
-    ]  # fmt: skip
+    """Return the ranking: place, settings, score, trials, and what fresh seeds make of it."""
+    rows = []
+    for place, entry in enumerate(ranked, 1):
+        row = {"place": f"{place}{' (supplement)' if entry.is_papers else ''}"}
+        row |= dict(tables.setting(*item) for item in entry.settings.items())
+        row |= {"score": number(entry.score), "its trials": "; ".join(map(number, entry.returns))}
+        row["on fresh seeds"] = "; ".join(map(number, entry.fresh)) or style.DASH
+        change = float(np.mean(entry.fresh)) - entry.score if entry.fresh else np.nan
+        ends = statistics.interval(entry.fresh, entry.returns)
+        row["change [95 %]"] = style.estimate(change, ends)
+        rows.append(row)
     return tables.styled(pd.DataFrame(rows or [{"place": "not run yet"}]), "Mean true returns")
 
 
@@ -69,48 +56,21 @@ def says(ranked: Sequence[Ranked], n_planned: int) -> str:
     )
 
 
-def curse_says(ranked: Sequence[Ranked]) -> str:
-    """Say what the winner scored in the search, and what on seeds that have not chosen it."""
-    chosen = [entry for entry in ranked if entry is ranked[0] or entry.is_papers]
-    if not chosen or not chosen[0].fresh:
-        return "The winner has not been run on fresh seeds: not run yet."
-    said = []
-    for entry in chosen:
-        both = entry is ranked[0] and entry.is_papers
-        name = "The winner" if entry is ranked[0] else "The supplement's best"
-        name += ", which is the supplement's best," if both else ""
-        if not entry.fresh:
-            said.append(f"{name} has no fresh trial yet.")
-            continue
-        fresh, (low, high) = np.mean(entry.fresh), statistics.interval(entry.fresh, entry.returns)
-        inside = f" [{number(low)} to {number(high)}]" if np.isfinite(low) else ""
-        said.append(
-            f"{name} scored {number(entry.score)} in the search and {number(float(fresh))} on"
-            f" {len(entry.fresh)} fresh seeds, a difference of"
-            f" {number(float(fresh) - entry.score)}{inside}."
-        )
-    return " ".join(said)
-
-
 @style.applied()
 def sensitivity(ranked: Sequence[Ranked], title: str) -> Figure:
     """Draw the score against each setting that was varied: configurations, and means by value."""
-    varied = _varied(ranked) or {"": []}
-    named = {
-        name: f"{name.replace('_', ' ')} ({_SYMBOLS[name]})" if name else title for name in varied
-    }
-    figure, grid = style.panels(named.values(), 1.9, 3, sharey=True)
+    tried = pd.DataFrame([entry.settings for entry in ranked])
+    varied = {n: sorted(tried[n].unique()) for n in tried if tried[n].nunique() > 1} or {"": []}
+    named = [tables.setting(name, "")[0] or title for name in varied]
+    figure, grid = style.panels(named, 1.9, 3, sharey=True)
     dots: dict[str, Any] = {"color": style.method("silem").color, "alpha": 0.45, "mec": "none"}
     for axes, (name, values) in zip(grid, varied.items(), strict=True):
         for x, value in enumerate(values):
             scores = [entry.score for entry in ranked if entry.settings[name] == value]
             axes.plot(np.full(len(scores), x), scores, "o", ms=4, **dots)
             axes.plot([x - 0.25, x + 0.25], [np.mean(scores)] * 2, color=style.INK, lw=1.6)
-        axes.set_xticks(range(len(values)), [f"{value:g}" for value in values])
+        axes.set_xticks(range(len(values)), [number(value, None) for value in values])
         axes.set_xlim(-0.6, max(len(values), 1) - 0.4)
-        if not values:
-            style.say(axes, "not run yet")
-            axes.set_yticks([])
     grid[0].set_ylabel("true return")
     grid[0].yaxis.set_major_formatter("{x:,.0f}")
     note = "a dot is the mean over one's trials, a line that of all with the value"

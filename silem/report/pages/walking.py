@@ -19,17 +19,15 @@ from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.motion.demonstrator import CLIPS, published_motion
 from silem.motion.gait import distance, walk
-from silem.report import film, notebook, results, style
+from silem.report import film, notebook, results, style, tables
 from silem.report.claims import MARGIN
-from silem.report.curves import QUANTITIES, rises
-from silem.report.style import number
+from silem.report.curves import rises
+from silem.report.scores import COMPARED
+from silem.report.style import QUANTITIES, number
 from silem.study.evaluate import EVALUATION_SEED, episodes, load_policy
-from silem.study.studies import cells, narrowed
+from silem.study.studies import BOTH, cells
 from silem.study.training import task_options
 from silem.util import files, paths
-
-COMPARED = ("silem", "silem-minus", "tpil", "peng20")
-"""The methods of the paper's twelve cells, in their order on the page."""
 
 RIVALS = COMPARED[1:]
 
@@ -38,16 +36,12 @@ STANDS, FALLS = "stands", "falls"
 
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
 MAN = "08_01"
-MEASURES = {
-    "step_hz": "steps/s", "stance_left": "stance, left", "stance_right": "stance, right",
-    "clearance_m": "clearance (m)", "symmetry": "symmetry", "features": "from his features",
-    "movement": "from his movement",
-}  # fmt: skip
-"""Measures of a walk (`silem.motion.gait`) and their headings. The last two are distances to the
-man's clip in its deviations, as they are and with both shifted to the same means: without that a
-body's shape counts as well."""
+MEASURES = ("step_hz", "stance_left", "stance_right", "clearance_m", "symmetry", "features",
+            "movement")  # fmt: skip
+"""Measures of a walk (`silem.motion.gait`). The last two are distances to the man's clip in its
+deviations, as they are and with both shifted to the same means: without that a body's shape counts
+as well."""
 
-_JOINED = ("step_hz", "stance_left", "stance_right")  # two of which share a column
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
 _SIZE = 320, 300  # pixels of a picture in the strip
@@ -68,17 +62,15 @@ def gaits(frame: pd.DataFrame) -> pd.DataFrame:
     ``survived`` is the share of an episode's steps, ``speed_share`` that of the demonstrator's
     speed, ``run_ids`` are the trials; the random policy is left out.
     """
-    orders = {"body": results.body_names(frame), "method": list(style.METHODS)}
-    ordered = {name: pd.Categorical(frame[name], order) for name, order in orders.items()}
-    runs = frame.assign(**ordered)[frame["method"] != "random"]
-    found = runs.groupby(["body", "method"], observed=True, as_index=False).agg(
-        run_ids=("run_id", list),
-        return_mean=("return_mean", "mean"),
-        survived=("upright", "mean"),
-        speed_m_s=("speed_m_s", "mean"),
-    )
-    found = found.astype({"body": str, "method": str})
-    step_s = {name: bodies.of_kind(name, MujocoBody).control_step_s for name in orders["body"]}
+    columns = ["return_mean", "upright", "speed_m_s"]
+    rows = [
+        (body, method, list(runs["run_id"]), *runs[columns].mean())
+        for body, method, runs in results.planned(frame)
+        if len(runs) and method != "random"
+    ]
+    names = ["body", "method", "run_ids", "return_mean", "survived", "speed_m_s"]
+    found = pd.DataFrame(rows, columns=names)
+    step_s = {n: bodies.of_kind(n, MujocoBody).control_step_s for n in results.body_names(frame)}
     found["survived_s"] = found["survived"] * MAX_STEPS * found["body"].map(step_s)
     found["speed_share"] = found["speed_m_s"] / DEMONSTRATOR_SPEED_M_S
     found["gait"] = [gait(row.survived, row.speed_m_s) for row in found.itertuples()]
@@ -105,19 +97,18 @@ def _measures(features: np.ndarray, rate_hz: float) -> dict[str, float]:
     return walk(features, rate_hz)._asdict() | distances
 
 
-def _man() -> pd.DataFrame:
+def _man() -> dict[str, pd.DataFrame]:
     """Return the man's own measures: in the clip shown, in his others, and as a statue."""
     man, others = published_motion(MAN), [published_motion(name) for name in CLIPS if name != MAN]
     still = np.repeat(man.features.mean(axis=0, keepdims=True), len(man.features), axis=0)
-    rows = {
-        "his clip": [man], f"his {len(others)} others": others,
-        "as a statue": [replace(man, features=still, qpos=man.qpos[[0] * len(still)])],
-    }  # fmt: skip
-    measures = {
-        name: [_measures(m.features, m.rate_hz) | {"speed_m_s": m.speed_m_s} for m in motions]
+    statue = replace(man, features=still, qpos=man.qpos[[0] * len(still)])
+    rows = {"his clip": [man], f"his {len(others)} others": others, "as a statue": [statue]}
+    return {
+        name: pd.DataFrame(
+            [_measures(m.features, m.rate_hz) | {"speed_m_s": m.speed_m_s} for m in motions]
+        )
         for name, motions in rows.items()
     }
-    return pd.DataFrame({name: pd.DataFrame(found).mean() for name, found in measures.items()}).T
 
 
 def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd.DataFrame:
@@ -125,43 +116,23 @@ def gait_table(groups: Mapping[str, pd.DataFrame], measures: pd.DataFrame) -> pd
 
     The man stands first; `measures` are what `measured` returns of the runs.
     """
-
-    def told(found: Any) -> dict[str, str]:
-        write = {name: number(found[name], 2) for name in MEASURES}
-        stance = f"{write.pop('stance_left')} / {write.pop('stance_right')}"
-        named = {MEASURES[name]: text for name, text in write.items()}
-        return named | {"stance, L / R": stance if found["step_hz"] else style.DASH}
-
-    man = _man()
-    rows = [
-        {"body": "the man", "method": name, "speed (m/s)": number(found["speed_m_s"], 2)}
-        | told(found)
-        for name, found in man.iterrows()
+    columns = ["return_mean", "upright", "speed_m_s", *MEASURES]
+    shown: list[tuple[dict[str, str], pd.DataFrame]] = [
+        ({"body": "the man", "method": name}, found.reindex(columns=columns))
+        for name, found in _man().items()
     ]
     for name, frame in groups.items():
-        for found in gaits(frame).itertuples():
-            row = {
-                "body": found.body,
-                "method": style.method(found.method, "").name,
-                "runs": name,
-                "trials": number(len(found.run_ids)),
-                "return": number(found.return_mean),
-                "steps survived": number(MAX_STEPS * found.survived),
-                "speed (m/s)": number(found.speed_m_s, 2),
-                "gait": found.gait,
-            }
-            rows.append(row | told(measures.reindex(found.run_ids).mean()))
-    if len(rows) == len(man):
-        rows.append({"body": "no run"})
-    order = ["body", "method", "runs", "trials", "return", "steps survived",
-             "speed (m/s)", "gait", "steps/s", "stance, L / R"]  # fmt: skip
-    order += [title for name, title in MEASURES.items() if name not in _JOINED]
-    left_out = {"runs"} if len(groups) == 1 else set()
-    return (
-        pd.DataFrame(rows)
-        .reindex(columns=[c for c in order if c not in left_out])
-        .fillna(style.DASH)
-    )
+        joined = frame.join(measures, on="run_id")
+        for cell in gaits(frame).itertuples():
+            called = {"body": cell.body, "method": style.METHODS[cell.method].short}
+            called |= ({"runs": name} if len(groups) > 1 else {}) | {"gait": cell.gait}
+            shown.append((called, joined[joined["run_id"].isin(cell.run_ids)]))
+    if not any(map(len, groups.values())):
+        shown.append(({"body": "no run"}, pd.DataFrame(columns=columns)))
+    table = tables.means(shown, columns).fillna(style.DASH)
+    table["trials"] = table["trials"].mask(table["body"].eq("the man"), style.DASH)
+    first = [name for name in ("body", "method", "runs", "gait") if name in table]
+    return table[[*first, *table.columns.difference(first, sort=False)]]
 
 
 def sentences(frame: pd.DataFrame) -> dict[str, str | float]:
@@ -196,12 +167,11 @@ def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     if not run_id:
         return pd.DataFrame([{"iterations": "no run"}])
     curve, rows = results.load_curve(run_id), []
-    headings = QUANTITIES | {"policy_std": ("policy's standard deviation", 2)}
     for share in _SHARES:
         part = _just_before(curve, share)
         row = {"iterations": number(share * curve["iteration"].max())}
         for name in _MILESTONES:
-            heading, digits = headings[name]
+            heading, digits = QUANTITIES[name]
             row[heading] = number(part[name], digits)
         row["reward of D per step"] = number(part["disc_reward"] / part["episode_length"], 2)
         rows.append(row)
@@ -232,7 +202,7 @@ def show_strip(run_id: str, duration_s: float) -> None:
         notebook.note(f"No pictures: {why}")
     else:
         (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
-        notebook.show_picture(film.strip(clip, n_frames=6))
+        notebook.show_picture(film.strip(clip))
 
 
 def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
@@ -248,13 +218,13 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     )
     names = results.body_names(frame)
     for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
-        label = f"{style.method(method, '').name}\n{body}"
+        label = f"{style.METHODS[method].short}\n{body}"
         if run_id := best_run(frame, method, body):
             clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
         else:
             blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
             clips[f"{label}: no run yet"] = film.Clip(blank, shown.frames_per_s)
-    return film.grid(clips, n_columns=4, label_size=0.05)
+    return film.grid(clips, n_columns=4)
 
 
 def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
@@ -286,19 +256,14 @@ def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) 
 
 def search_table(frame: pd.DataFrame) -> pd.DataFrame:
     """Return, as text, what each setting of the rivals' search led to: return, steps survived."""
-    study, budget = results.context(frame)
-    made, (seed,) = frame.set_index("run_id"), narrowed(study, budget).seeds
-    usual = {(c.method, c.body): len(c.overrides) for c in cells("humanoids")}
-    table: dict[str, dict[str, str]] = {}
-    for cell in cells(study):
-        changed = [f"{n} {v}" for n, v in cell.overrides[usual[cell.method, cell.body] :]]
-        run = made.reindex([cell.config(budget, seed).run_id]).iloc[0]
-        told = f"{number(run['return_mean'])}, {number(MAX_STEPS * run['upright'])} steps"
-        row = table.setdefault(", ".join(changed) or "its own", {})
-        label = style.method(cell.method, "").label
-        row[label] = style.DASH if math.isnan(run["return_mean"]) else told
-    rows = [{"setting": setting} | row for setting, row in table.items()]
-    return pd.DataFrame(rows).fillna("not tried")
+    began = {cell.method: dict(cell.overrides) for cell in cells("humanoids")}
+    tried = tables.searched(frame, began).set_index(["setting", "method"])
+    steps = (MAX_STEPS * tried["upright"]).map(number)
+    told = tried["return_mean"].map(number) + ", " + steps + " steps"
+    told = told.where(tried["upright"].notna(), style.DASH)
+    table = told.unstack(fill_value="not tried").reindex(told.index.unique("setting"))
+    names = {name: method.short for name, method in style.METHODS.items()}
+    return table.rename(columns=names).reset_index()
 
 
 def reversal() -> pd.DataFrame:
@@ -352,7 +317,7 @@ def reversal_figure() -> Figure:
                 (ranked, "ranking", "-"),
             ):  # fmt: skip
                 axes.plot(of_depth["coef"], of_depth[column], ls=line, ms=4, **look)
-        for method in COMPARED[:2]:
+        for method in BOTH:
             known, level = style.method(method, ""), rows.loc[rows["method"] == method, "ranking"]
             look = {"color": known.color, "ls": ":", "lw": 2}
             handles[known.label] = style.handle(label=known.label, **look)
@@ -360,5 +325,5 @@ def reversal_figure() -> Figure:
     for axes in panels[-2:]:
         axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
     note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
-    seeds = " to ".join(dict.fromkeys(str(n) for n in (found["seed"].min(), found["seed"].max())))
-    return style.finish(figure, list(handles.values()), f"{note}; seeds: {seeds}", ncols=4)
+    note += f"; seeds: {style.span(found['seed'])}"
+    return style.finish(figure, list(handles.values()), note, ncols=4)
