@@ -74,7 +74,7 @@ def _behind(frames: list[pd.DataFrame]) -> str:
     low, high = (cells.min(), cells.max()) if len(cells) else (0, 0)
     spread = f"{low if low == high else f'{low} to {high}'} in each cell that has any"
     frames = frames + [f for f in map(results.paper_loss, frames) if f is not None]
-    runs = pd.concat([f for f in frames if len(f)] or frames[:1]).drop_duplicates("run_id")
+    runs = results.joined(frames)
     done = len(results.trained(runs))
     missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
     return (

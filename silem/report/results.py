@@ -97,9 +97,15 @@ def paper_loss(frame: pd.DataFrame) -> pd.DataFrame | None:
         return None
     other = load_records(PAPER_LOSS[study], budget)
     shared = frame[frame["method"].isin(_WITHOUT_D)]
-    both = pd.concat([part for part in (other, shared) if len(part)] or [other], ignore_index=True)
+    both = joined([other, shared])
     both.attrs = other.attrs | {"shared": _WITHOUT_D}
     return both
+
+
+def joined(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Put tables below each other, each run once; empty ones would change the columns' types."""
+    found = pd.concat([f for f in frames if len(f)] or frames[:1])
+    return found.drop_duplicates("run_id", ignore_index=True)
 
 
 def _records(study: str, budget: str) -> Iterator[RunRecord]:

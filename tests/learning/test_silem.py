@@ -345,7 +345,7 @@ def test_windows_of_another_shape_are_refused(shape: tuple[int, ...], message: s
 @pytest.mark.parametrize(
     ("demonstrations", "message"),
     [
-        ([], "empty"),
+        ([], "none at all"),
         ([np.zeros((1, 3))], "too short"),
         ([np.full((5, 3), np.nan)], "NaN"),
         ([np.zeros((5, 3)), np.zeros((5, 2))], "one F"),

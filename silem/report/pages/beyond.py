@@ -31,7 +31,7 @@ def runs(
     frames = [results.load_records(study, budget)]
     for theirs, shared in ((results.load_records(o, budget), b) for o, b in others.items()):
         frames.append(results.select(theirs, methods, shared))
-    frame = pd.concat([found for found in frames if len(found)] or frames[:1], ignore_index=True)
+    frame = results.joined(frames)
     missing = [run for found in frames for run in found.attrs["missing"]]
     frame.attrs = frames[0].attrs | {"missing": missing}
     return frame

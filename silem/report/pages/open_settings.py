@@ -73,8 +73,8 @@ def travel(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
     Columns are ``run_id``, ``body``, ``allowed`` (`travel_allowed`), ``A`` and ``b``: the largest
     distances of an entry of A from 1 and of b from 0.
     """
-    runs = pd.concat(frames).drop_duplicates("run_id")
-    learned = transforms.learned(runs).set_index(["run_id", "body"])[["A", "b"]].astype(float)
+    learned = transforms.learned(results.joined(frames))
+    learned = learned.set_index(["run_id", "body"])[["A", "b"]].astype(float)
     far = (learned - [1.0, 0.0]).abs().groupby(level=[0, 1], sort=False).max().reset_index()
     configs = [results.find(run_id).run_config for run_id in far["run_id"]]
     return far.assign(allowed=[travel_allowed(c.hyper, c.budget.n_iterations) for c in configs])
