@@ -91,7 +91,7 @@ def test_the_table_has_the_man_first_and_means_over_a_cells_trials(frame: pd.Dat
     cell = results.cell(frame, "silem", "Humanoid")
     measures = pd.DataFrame(np.nan, index=frame["run_id"], columns=list(walking.MEASURES))
     measures.loc[cell["run_id"], "step_hz"] = [1.0, 2.0]
-    measures.loc[cell["run_id"], "stance_left"] = [0.5, 0.7]
+    measures.loc[cell["run_id"], "stance"] = [0.5, 0.7]
     one = walking.gait_table({"": frame}, measures)
     two = walking.gait_table({"here": frame, "there": frame}, measures)
     assert "runs" not in one
@@ -108,7 +108,7 @@ def test_the_table_has_the_man_first_and_means_over_a_cells_trials(frame: pd.Dat
     assert float(statue["from his movement"]) > 0.5
     row = one[(one["body"] == "Humanoid") & (one["method"] == "SILEM")].iloc[0]
     assert (row["steps/s"], row["trials"]) == ("1.50", "2")
-    assert (row["stance, left"], row["stance, right"]) == ("0.60", "–")
+    assert row["stance"] == "0.60"
 
 
 def test_measures_are_those_of_the_policys_episodes(

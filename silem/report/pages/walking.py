@@ -31,14 +31,13 @@ from silem.util import files, paths
 
 RIVALS = COMPARED[1:]
 
-WALKS, SLOWER, CREEPS = "walks at his speed", "walks, slower", "creeps"
+WALKS, SLOWER, CREEPS = "walks", "walks, slower", "creeps"
 STANDS, FALLS = "stands", "falls"
 
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
 MAN = "08_01"
-MEASURES = ("step_hz", "stance_left", "stance_right", "clearance_m", "symmetry", "features",
-            "movement")  # fmt: skip
-"""Measures of a walk (`silem.motion.gait`). The last two are distances to the man's clip in its
+MEASURES = ("step_hz", "stance", "clearance_m", "symmetry", "features", "movement")
+"""Measures of a walk (`silem.motion.gait`), the stance of both feet's. The last two are distances to the man's clip in its
 deviations, as they are and with both shifted to the same means: without that a body's shape counts
 as well."""
 
@@ -94,7 +93,8 @@ def _measures(features: np.ndarray, rate_hz: float) -> dict[str, float]:
     moved = features - features.mean(axis=0) + shown.mean(axis=0)
     found = {"features": features, "movement": moved}
     distances = {name: distance(these, shown, rate_hz) for name, these in found.items()}
-    return walk(features, rate_hz)._asdict() | distances
+    steps = walk(features, rate_hz)
+    return steps._asdict() | {"stance": (steps.stance_left + steps.stance_right) / 2} | distances
 
 
 def _man() -> dict[str, pd.DataFrame]:
