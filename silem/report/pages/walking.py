@@ -37,9 +37,9 @@ STANDS, FALLS = "stands", "falls"
 _SPEEDS = {WALKS: 1 - MARGIN, SLOWER: 0.5, CREEPS: MARGIN}  # least shares of the man's speed
 MAN = "08_01"
 MEASURES = ("step_hz", "stance", "clearance_m", "symmetry", "features", "movement")
-"""Measures of a walk (`silem.motion.gait`), the stance of both feet's. The last two are distances to the man's clip in its
-deviations, as they are and with both shifted to the same means: without that a body's shape counts
-as well."""
+"""Measures of a walk (`silem.motion.gait`), the stance of both feet. The last two are distances to
+the man's clip in its deviations, as they are and with both shifted to the same means: without that
+a body's shape counts as well."""
 
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
