@@ -233,9 +233,10 @@ def test_the_man_ppo_and_twelve_cells_are_filmed_on_one_clock(
 ) -> None:
     filmed: dict[str, RunRecord] = {}
 
-    def of_runs(runs: dict[str, RunRecord], duration_s: float, size: film.Size) -> dict:
-        filmed.update(runs)
-        return {label: film.Clip(np.zeros((2, *size[::-1], 3), np.uint8), 20.0) for label in runs}
+    def of_runs(runs: dict[str, RunRecord | None], duration_s: float, size: film.Size) -> dict:
+        filmed.update({label: run for label, run in runs.items() if run})
+        clip = film.Clip(np.zeros((2, *size[::-1], 3), np.uint8), 20.0)
+        return {label if run else f"{label}: no run yet": clip for label, run in runs.items()}
 
     shown: dict[str, film.Clip] = {}
     monkeypatch.setattr(film, "of_runs", of_runs)

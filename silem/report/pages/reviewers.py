@@ -118,8 +118,6 @@ def profiles(frame: pd.DataFrame) -> Figure:
     axes.set(ylim=(-0.02, 1.04), ylabel="share of runs above τ", xlim=(low, top))
     over = "the highest possible" if walks else "the mean of the body's experts"
     axes.set_xlabel(f"τ: return of an episode over {over}")
-    if not handles:
-        style.say(axes, "no run")
     note = (
         f"dashed: fewer than {scores.INTERVAL_TRIALS} runs, without a band; bands: Clopper"
         " and Pearson's 95 % interval at each τ, as if all bodies' runs were of one kind"

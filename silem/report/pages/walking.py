@@ -217,14 +217,10 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
         shown.frames[times], shown.frames_per_s
     )
     names = results.body_names(frame)
-    for method, body in [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]:
-        label = f"{style.METHODS[method].short}\n{body}"
-        if run_id := best_run(frame, method, body):
-            clips |= film.of_runs({label: results.find(run_id)}, duration_s, _CELL)
-        else:
-            blank = np.full((1, *_CELL[::-1], 3), 255, np.uint8)
-            clips[f"{label}: no run yet"] = film.Clip(blank, shown.frames_per_s)
-    return film.grid(clips, n_columns=4)
+    every = [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]
+    best = {f"{style.METHODS[m].short}\n{b}": best_run(frame, m, b) for m, b in every}
+    runs = {label: results.find(run_id) if run_id else None for label, run_id in best.items()}
+    return film.grid(clips | film.of_runs(runs, duration_s, _CELL), n_columns=4)
 
 
 def verdicts(frame: pd.DataFrame, longer: pd.DataFrame, settings: pd.DataFrame) -> pd.DataFrame:
