@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, groupby
 from numbers import Integral, Real
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -25,11 +25,12 @@ from matplotlib.figure import Figure
 from myst_nb import glue
 from pandas.io.formats.style import Styler
 
-from silem.report import film as films
 from silem.report import results, style, tables
-from silem.report.film import Clip, encode_mp4, encode_png, why_no_pictures
 from silem.study.config import TRIAL_SEEDS
 from silem.util.errors import SilemError
+
+if TYPE_CHECKING:  # simulators and PyTorch come with it, which a page of tables does not need
+    from silem.report.film import Clip
 
 _NO_NUMBER = re.compile(r"float\('-?(nan|inf)'\)")  # as papermill writes them
 
@@ -110,7 +111,9 @@ def show(figure: Figure) -> None:
 
 def show_picture(picture: np.ndarray) -> None:
     """Display a picture (H, W, 3)."""
-    display(DisplayedImage(data=encode_png(picture)))
+    from silem.report import film as films
+
+    display(DisplayedImage(data=films.encode_png(picture)))
 
 
 def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> Styler:
@@ -130,13 +133,15 @@ def table(frame: pd.DataFrame, digits: int | None = None, caption: str = "") -> 
     return tables.styled(named.map(written), caption)
 
 
-def play(clip: Clip | None, caption: str) -> None:
+def play(clip: "Clip | None", caption: str) -> None:
     """Embed a clip as a video that needs no file beside the page; None: say that there is none."""
     if clip is None:
         return note(f"No video ({caption}): no run with a policy has been published yet.")
+    from silem.report import film as films
+
     height, width = clip.frames.shape[1:3]
-    poster = base64.b64encode(encode_png(clip.frames[0])).decode()
-    video = base64.b64encode(encode_mp4(clip)).decode()
+    poster = base64.b64encode(films.encode_png(clip.frames[0])).decode()
+    video = base64.b64encode(films.encode_mp4(clip)).decode()
     text = html.escape(caption)
     page = (
         '<figure class="silem-clip">'
@@ -149,9 +154,11 @@ def play(clip: Clip | None, caption: str) -> None:
     display(HTML(page))
 
 
-def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
+def film(make: "Callable[[], Clip | None]", caption: str) -> "Clip | None":
     """Make, play and return a clip; where nothing can be drawn offscreen, say why instead."""
-    if why := why_no_pictures("Humanoid"):
+    from silem.report import film as films
+
+    if why := films.why_no_pictures("Humanoid"):
         note(f"No video ({caption}): {why}")
         return None
     clip = make()
@@ -159,8 +166,10 @@ def film(make: Callable[[], Clip | None], caption: str) -> Clip | None:
     return clip
 
 
-def show_strip(clip: Clip | None) -> None:
+def show_strip(clip: "Clip | None") -> None:
     """Show a clip on paper: equally spaced pictures of it; say so where there is none."""
+    from silem.report import film as films
+
     note("No pictures: there is no clip.") if clip is None else show_picture(films.strip(clip))
 
 
@@ -171,6 +180,8 @@ def play_trials(
 
     Its seed was fixed before any run was made. Whoever falls stands still from then on.
     """
+    from silem.report import film as films
+
     runs = {}
     for method in methods:
         trials = results.cell(records[records["seed"].eq(TRIAL_SEEDS[0])], method, body)

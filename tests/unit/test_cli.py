@@ -322,6 +322,16 @@ print([name for name in silem.__all__ if getattr(silem, name) is None], silem.SI
         _ = silem.SILLEM
 
 
+def test_pages_that_read_records_alone_load_neither_pytorch_nor_simulators(data: Path) -> None:
+    code = """
+import sys
+from silem.report import claims, curves, notebook, results, scores, statistics, tables
+from silem.report.pages import cost, reviewers, search
+print([name for name in ("torch", "mujoco", "pybullet", "imageio") if name in sys.modules])
+"""
+    assert python("-c", code, cwd=data).stdout == "[]\n"
+
+
 def python(*arguments: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
     env = {"PYTHONPATH": str(paths.REPO)} | env
     return subprocess.run(
