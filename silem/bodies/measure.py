@@ -7,10 +7,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import pybullet
 
 from silem.bodies.body import Body, BulletBody
 from silem.util.errors import SilemError, reason
+from silem.util.offscreen import silence
+
+with silence():
+    import pybullet
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree
 _FLAGS = (

@@ -13,7 +13,7 @@ import pandas as pd
 from silem.report import claims, results, scores, style
 from silem.report.pages import walking
 from silem.report.scores import normalised_scores
-from silem.report.web import BODIES, hours
+from silem.report.web import BODIES
 from silem.study.studies import STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
@@ -77,10 +77,10 @@ def _behind(frames: list[pd.DataFrame]) -> str:
     runs = results.joined(frames)
     done = len(results.trained(runs))
     missing = {r["run_id"] for f in frames for r in f.attrs["missing"] if r["method"] != "random"}
+    hours = results.hours(results.trained(runs))
     return (
         f"Behind it stand {done} finished trainings of {done + len(missing)} planned ({spread})"
-        f" and {hours(runs[runs['method'] != 'random'])}, on one processor core a run and no"
-        " graphics card."
+        f" and {hours}, on one processor core a run and no graphics card."
     )
 
 

@@ -6,6 +6,7 @@ as missing and runs of other settings as set aside; neither is passed over in si
 `frame` is such a table, of one study at one budget, and a cell a method on a body.
 """
 
+import base64
 import dataclasses
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -216,8 +217,6 @@ def trace(frame: pd.DataFrame) -> HTML:
     The lists are the runs with the command that reruns each, the planned runs that are not made yet
     with the command that makes each, and the runs that were set aside.
     """
-    from silem.report import web  # which reads results
-
     study, budget = context(frame)
     line = describe(frame) + (f"; {commits(frame)}" if len(frame) else "")
     folder = folder_of(study)
@@ -230,13 +229,53 @@ def trace(frame: pd.DataFrame) -> HTML:
         f"runs of other settings or seeds, not shown ({len(aside)})": aside,
     }
     page = f'<div class="silem-trace"><p class="silem-trace-line">{escape(line)}</p>'
-    page += web.links(frame) if len(frame) else ""
+    page += links(frame) if len(frame) else ""
     for summary, shown in folded.items():
         texts = [[run[name] for name in ("run_id", "command") if name in run] for run in shown]
         codes = ["<br>".join(f"<code>{escape(text)}</code>" for text in pair) for pair in texts]
         if items := "".join(f"<li>{code}</li>" for code in codes):
             page += f"<details><summary>{escape(summary)}</summary><ul>{items}</ul></details>"
     return HTML(f"{page}</div>")
+
+
+def links(frame: pd.DataFrame) -> str:
+    """Return the line of links under a figure, and what its runs cost.
+
+    The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
+    """
+    name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
+    data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
+    return (
+        f'<p class="silem-links" data-name="{name}">'
+        f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
+        ' <button type="button" class="silem-copy">copy the commands</button>'
+        f" <span>{hours(frame)}</span></p>"
+    )
+
+
+def hours(runs: pd.DataFrame) -> str:
+    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
+    without = runs[runs["processor_time_s"].isna()]
+    wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
+    if len(without) == len(runs) > 0:
+        return wall
+    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
+    if len(without):
+        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
+    return words
+
+
+def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what a figure is drawn from: its runs, their curves, or the T that they learned."""
+    figure = frame.attrs.get("figure")
+    if figure == "learning_curves":
+        parts = [load_curve(run).assign(run_id=run) for run in frame["run_id"]]
+        return pd.concat(parts, ignore_index=True)
+    if figure == "by_feature":
+        from silem.report.transforms import learned  # which reads results
+
+        return learned(frame)
+    return frame.drop(columns=["returns"])
 
 
 def commits(frame: pd.DataFrame) -> str:

@@ -24,14 +24,12 @@ from typing import Any
 
 import imageio.v3 as imageio
 import numpy as np
-import pandas as pd
 
 from silem import bodies
 from silem.algorithms.networks import CLIP
 from silem.bodies import MujocoBody, humanoid
 from silem.report import results, style
 from silem.report.pages import slider
-from silem.report.transforms import learned
 from silem.study.evaluate import load_policy
 from silem.util import files
 from silem.util.errors import SilemError
@@ -113,50 +111,6 @@ def physics(cache: Path) -> dict[str, bytes] | None:
 
 
 _MEMBERS = ("mujoco.js", "mujoco.wasm")
-
-
-# ---------------------------------------------------------------- under a figure
-
-
-def links(frame: pd.DataFrame) -> str:
-    """Return the line of links under a figure, and what its runs cost.
-
-    The data is a file in the page itself; ``silem.js`` adds the figure and what its buttons do.
-    """
-    name = frame.attrs.get("figure", f"{frame.attrs['study'].replace('/', '-')}_runs")
-    data = base64.b64encode(figure_data(frame).to_csv(index=False).encode()).decode()
-    return (
-        f'<p class="silem-links" data-name="{name}">'
-        f'<a download="{name}.csv" href="data:text/csv;base64,{data}">data (CSV)</a>'
-        ' <button type="button" class="silem-copy">copy the commands</button>'
-        f" <span>{hours(frame)}</span></p>"
-    )
-
-
-def hours(runs: pd.DataFrame) -> str:
-    """Say what some runs cost: processor time, and wall time of runs that did not count it."""
-    without = runs[runs["processor_time_s"].isna()]
-    wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
-    if len(without) == len(runs) > 0:
-        return wall
-    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
-    if len(without):
-        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
-    return words
-
-
-def figure_data(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return what a figure is drawn from: its runs, their curves, or the T that they learned."""
-    figure = frame.attrs.get("figure")
-    if figure == "learning_curves":
-        parts = [results.load_curve(run).assign(run_id=run) for run in frame["run_id"]]
-        return pd.concat(parts, ignore_index=True)
-    if figure == "by_feature":
-        return learned(frame)
-    return frame.drop(columns=["returns"])
-
-
-# ---------------------------------------------------------------- all of them
 
 
 def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:

@@ -166,7 +166,7 @@ def test_a_figure_comes_with_data_picture_and_commands(
     page.get_by_role("button", name="copy the commands").click()
     page.get_by_role("button", name=f"copied {len(shown)}").wait_for()
     assert page.evaluate("() => copied").splitlines() == list(shown["command"])
-    assert web.hours(shown) in page.locator(".silem-links").inner_text()
+    assert results.hours(shown) in page.locator(".silem-links").inner_text()
 
 
 def test_the_papers_numbers_can_be_hidden(site: Path, opened: Open, experts: pd.DataFrame) -> None:
@@ -191,9 +191,9 @@ def test_the_papers_numbers_can_be_hidden(site: Path, opened: Open, experts: pd.
 
 def test_each_figures_data_is_what_it_draws() -> None:
     frame = results.load_records("humanoids", "book")
-    curves = web.figure_data(scores.runs_of("learning_curves", frame))
+    curves = results.figure_data(scores.runs_of("learning_curves", frame))
     assert {"iteration", "return_mean", "run_id"} <= set(curves)
-    learned = web.figure_data(scores.runs_of("by_feature", frame))
+    learned = results.figure_data(scores.runs_of("by_feature", frame))
     of = learned[learned["run_id"] == RUN]
     np.testing.assert_allclose(of["A"], results.load_transform(RUN)["A"])
     assert of["feature"].iloc[0] == "left hand x"

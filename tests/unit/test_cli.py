@@ -327,9 +327,16 @@ def test_pages_that_read_records_alone_load_neither_pytorch_nor_simulators(data:
 import sys
 from silem.report import claims, curves, notebook, results, scores, statistics, tables
 from silem.report.pages import cost, reviewers, search
+results.trace(results.load_records("halfcheetah"))
 print([name for name in ("torch", "mujoco", "pybullet", "imageio") if name in sys.modules])
 """
     assert python("-c", code, cwd=data).stdout == "[]\n"
+
+
+def test_simulators_are_loaded_without_a_word(data: Path) -> None:
+    code = "import silem, sys; silem.make_vec('HC0', 1); sys.stderr.write('heard')"
+    done = python("-c", code, cwd=data)
+    assert (done.stdout, done.stderr) == ("", "heard")
 
 
 def python(*arguments: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
