@@ -293,7 +293,7 @@ def test_a_clip_at_the_end_of_a_cell_prints_nothing() -> None:
 def test_a_film_is_played_with_controls_poster_and_words(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
     monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
+    monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
     notebook.film(lambda: Clip(np.zeros((2, 16, 16, 3), np.uint8), 40.0), "a walk")
     for part in ("<video controls", 'aria-label="a walk"', 'poster="data:image/png', "data:video"):
         assert part in shown[0]

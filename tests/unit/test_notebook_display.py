@@ -78,7 +78,7 @@ def test_the_first_trial_of_each_method_is_filmed(
     clips = {"a clip": film.Clip(np.zeros((2, 30, 40, 3), np.uint8), 20.0)}
     monkeypatch.setattr(film, "of_runs", lambda runs, *_: filmed.update(runs) or clips)
     monkeypatch.setattr(notebook, "play", lambda *call: shown.append(call))
-    monkeypatch.setattr(notebook, "why_no_pictures", lambda body: "")
+    monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
     notebook.play_trials(frame, methods, "Humanoid", 0.1)
     assert list(filmed) == ["SILEM", "SILEM⁻", "PPO"] and filmed["SILEM⁻"] is None
     assert filmed["SILEM"].run_id == plan.run_id != first.run_id  # not the best
