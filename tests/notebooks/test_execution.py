@@ -111,8 +111,9 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     for cell_id in ("curve", "experts", "curves"):
         assert output(page, cell_id).startswith("<svg")
     assert "18 runs" in words(output(page, "experts-runs"))
-    assert re.search(r"HC1 2,000 1,2\d\d\.\d\d", words(output(page, "longer")))
-    assert "actions clipped no 0" in words(output(page, "unlike-ppo1"))
+    assert re.search(r"HC1 800 5 [\d,]+ .* HC1 2,000 1 1,2\d\d ", words(output(page, "longer")))
+    unlike = words(output(page, "unlike-ppo1"))
+    assert re.search(r"as in this book 5 [\d,]+ .*actions clipped no 0", unlike)
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
     demonstrator = find_demonstrator(frame)
