@@ -5,10 +5,7 @@ Raw PyBullet and our batched environment start alike and get the same actions, s
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -18,6 +15,7 @@ import pybullet
 from benchmarks.measurement import Batched, Measurement, Row, Single
 from silem.envs import BatchedEnv, SingleEnv
 from silem.envs.bullet import Simulation
+from silem.util.offscreen import silence
 
 PEERS = {"HC0": "HalfCheetahBulletEnv-v0", "Ant0": "AntBulletEnv-v0"}
 N_CLIENTS = (1, 4, 8)
@@ -59,21 +57,7 @@ def _peer(body: str) -> gymnasium.Env[Any, Any]:
     """Make the public package's environment; its first reset builds it."""
     import pybullet_envs_gymnasium  # noqa: F401  registers its environments
 
-    with _silence():
+    with silence(1):
         env = gymnasium.make(PEERS[body], disable_env_checker=True).unwrapped
         env.reset(seed=0)
     return env
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Drop what PyBullet's C code writes to standard output while a client connects."""
-    sys.stdout.flush()
-    saved = os.dup(1)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)

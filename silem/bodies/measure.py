@@ -12,7 +12,7 @@ from silem.bodies.body import Body, BulletBody
 from silem.util.errors import SilemError, reason
 from silem.util.offscreen import silence
 
-with silence():
+with silence(2):  # its greeting
     import pybullet
 
 BASE = -1  # PyBullet's number for the link at the root of a body's tree

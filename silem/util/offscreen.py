@@ -17,13 +17,14 @@ BACKEND = os.environ.setdefault("MUJOCO_GL", _HERE[0] if _HERE else "disable")
 
 
 @contextmanager
-def silence() -> Iterator[None]:
-    """Drop what is written to standard error meanwhile, even by C code: PyBullet greets so."""
-    kept = os.dup(2)
+def silence(descriptor: int) -> Iterator[None]:
+    """Drop what goes to standard output (1) or error (2) meanwhile, even from PyBullet's C code."""
+    (sys.stdout if descriptor == 1 else sys.stderr).flush()
+    kept = os.dup(descriptor)
     with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
+        os.dup2(nowhere.fileno(), descriptor)
         try:
             yield
         finally:
-            os.dup2(kept, 2)
+            os.dup2(kept, descriptor)
             os.close(kept)
