@@ -281,7 +281,8 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
     assert "0 runs" in text
     if name == "05_halfcheetah":
         spoken = said(page)
-        assert int(spoken.pop("n_missing").replace(",", "")) == text.count("silem run")
+        listed = words(output(page, "missing")).count("silem run")
+        assert int(spoken.pop("n_missing")) == listed > 0
         assert set(spoken.values()) == {"–"}
         assert "HC2, first trials, in real time: SILEM: no run yet" in text
     if name == "07_scorecard":
