@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PATH := $(abspath $(BIN)):$(PATH)
 
 .DEFAULT_GOAL := help
-.PHONY: help install book pdf test check format figures clean
+.PHONY: help install book pages pdf test check format figures clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,8 +35,11 @@ book: $(STAMP) ## execute the notebooks and build the book: _build/html/index.ht
 pdf: $(STAMP) ## the whole book as _build/silem.pdf, printed by Debian's chromium
 	$(BIN)/python -m silem.report.build --workers $(WORKERS) --pdf
 
-test: $(STAMP) ## run the tests, notebooks and built book included
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup tests
+pages: $(STAMP) ## build the book and read every page of it in Debian's chromium
+	$(BIN)/python -m pytest -m built tests/book
+
+test: $(STAMP) ## run the tests, and every notebook with its own small parameters
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --nbmake notebooks tests
 
 check: $(STAMP) ## style, types, spelling, and notebooks without outputs
 	$(BIN)/ruff check .

@@ -40,6 +40,7 @@ BOOK_PARAMETERS: Parameters = {
     "10_humanoids": {"n_episodes": 100, "video_s": 2.0},
     "11_retargeting": {"film_all": True, "video_s": 2.3},
     "12_walking": {"budget": "book", "n_episodes": 4, "video_s": 6.0},
+    "13_demonstrators": {"video_s": 6.0},
     "14_ants": {"video_s": 6.0},
     "16_any_body": {"budget": "quick", "steps": 20_000, "video_s": 6.0},
     "17_beyond": {"n_episodes": 20},
@@ -140,23 +141,18 @@ def sphinx(source: Path, output: Path, builder: str = "html") -> Path:
     return pages
 
 
-def build(
-    n_workers: int = 2,
-    root: Path = REPO,
-    parameters: Parameters = BOOK_PARAMETERS,
-    builder: str = "html",
-) -> Path:
-    """Build the whole book in ``_build`` under `root`, and return the folder of its pages.
+def build(n_workers: int = 2, builder: str = "html") -> Path:
+    """Build the whole book in ``_build``, and return the folder of its pages.
 
     `n_workers` notebooks run at a time. SilemError if one or a page fails, or another build runs.
     """
-    folder = root / "_build"
+    folder = REPO / "_build"
     executed, source = folder / "executed", folder / "source"
     with lock(folder / "book.lock"):
-        execute(notebooks(), executed, n_workers, parameters)
+        execute(notebooks(), executed, n_workers, BOOK_PARAMETERS)
         stage(executed, source)
         web.write(source / "book" / "_static" / "web")
-        pages = sphinx(source, root, builder)
+        pages = sphinx(source, REPO, builder)
         web.finish(pages)
     return pages
 

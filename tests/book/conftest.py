@@ -10,30 +10,17 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 from silem.report import build, pdf, web
-from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
 
 
 @pytest.fixture(scope="session")
-def html(testrun_uid: str) -> Path:
-    """The pages of the book, built once for all workers: those that share what another one builds.
-
-    Here the notebooks run with their own defaults, if they or what they read have changed.
-    """
-    root = REPO / "_build" / "tests"
-    root.mkdir(parents=True, exist_ok=True)
-    chosen = root / "pages.json"
-    with files.lock(root / "tests.lock", wait_s=float("inf")):
-        known = files.read_json(chosen) if chosen.exists() else {}
-        if known.get("run") == testrun_uid:
-            return Path(known["pages"])
-        try:
-            pages = build.build(n_workers=2, root=root, parameters={})
-        except SilemError as error:
-            pytest.fail(f"the book cannot be built: {error}", pytrace=False)
-        files.write_json(chosen, {"run": testrun_uid, "pages": str(pages)})
-        return pages
+def html() -> Path:
+    """The pages of the book as ``make book`` leaves them: what has not changed is not built again."""
+    try:
+        return build.build()
+    except SilemError as error:
+        pytest.fail(f"the book cannot be built: {error}", pytrace=False)
 
 
 @pytest.fixture(scope="session")

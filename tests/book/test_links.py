@@ -8,7 +8,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group("book")
+# One worker reads the book: it is built once and opened by one browser.
+pytestmark = [pytest.mark.built, pytest.mark.xdist_group("book")]
 
 REFERENCES = {"href", "src", "poster", "data"}
 

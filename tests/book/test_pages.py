@@ -15,7 +15,7 @@ from silem.report.film import why_no_pictures
 from silem.util.paths import REPO
 
 # One worker reads the book: it is built once and opened by one browser.
-pytestmark = pytest.mark.xdist_group("book")
+pytestmark = [pytest.mark.built, pytest.mark.xdist_group("book")]
 
 LOCAL = ("file:", "data:", "blob:", "about:")
 

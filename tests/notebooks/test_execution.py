@@ -1,6 +1,6 @@
 """The notebooks with parameters, on a made-up study: what the pages show.
 
-The book of `tests/book` runs them with their defaults on the repository's own records; here the
+nbmake runs them with their defaults on the repository's own records; here the
 parameters differ, the data folder is another one, and the outputs are looked at.
 """
 
