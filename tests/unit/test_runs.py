@@ -422,11 +422,12 @@ def test_leftovers_of_a_killed_run_go_with_the_next_call(
     assert [os.listdir(folder) for folder in folders] == [[runs.LOCK], [RECORD]]
 
 
-@pytest.mark.parametrize("run_id", ["*", "../*", "", ".", "a/b", "x" * 300, "x\0", None, 5])
-def test_what_can_be_no_runs_name_is_refused(data: Path, run_id: Any) -> None:
-    runs.run(small("random"), progress=False)
-    with pytest.raises(SilemError, match="run id must be a name"):
-        runs.find(run_id)
+def test_what_can_be_no_runs_name_is_refused(data: Path) -> None:
+    runs.run(small("random"), progress=False)  # which "*" would find
+    impossible: list[Any] = ["*", "../*", "", ".", "a/b", "x" * 300, "x\0", None, 5]
+    for run_id in impossible:
+        with pytest.raises(SilemError, match="run id must be a name"):
+            runs.find(run_id)
 
 
 def test_unclipped_actions_reach_the_environment_as_they_are() -> None:
