@@ -202,6 +202,21 @@ def note(text: str) -> None:
     display(HTML(f"<p><em>{html.escape(text)}</em></p>"))
 
 
+NO_RUNS = "silem-no-runs"
+"""What a page's cell shows where `need_runs` found none."""
+
+
+def need_runs(frame: pd.DataFrame, what: str) -> None:
+    """Say in a banner if no run of a study is finished.
+
+    The book leaves out the cells below that have the tag ``with-runs``, up to the next that asks.
+    """
+    if not frame.attrs.get("n_own", len(frame)):
+        words = f"No run of {what} is finished; {len(frame.attrs['missing'])} are planned."
+        words += " Figures, numbers and verdicts stand here from the first one on."
+        display(HTML(f'<div class="admonition note {NO_RUNS}"><p>{html.escape(words)}</p></div>'))
+
+
 def say(**values: float | str | np.ndarray | None) -> None:
     """Make numbers and texts available to the page's sentences, through ``{glue:text}`name` ``.
 

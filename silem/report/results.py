@@ -238,6 +238,17 @@ def trace(frame: pd.DataFrame) -> HTML:
     return HTML(f"{page}</div>")
 
 
+def still_missing(frame: pd.DataFrame) -> str:
+    """Say how many of the runs that a study plans are not made, and how to make them."""
+    if not (missing := frame.attrs["missing"]):
+        return "Nothing: all runs that the study plans have been made."
+    return (
+        f"Of the runs that the study plans, **{len(missing)}** have not been made. Each stands"
+        " below with the command that makes it. Whoever runs one and commits the folder that"
+        " appears under `data/results` changes this page."
+    )
+
+
 def links(frame: pd.DataFrame) -> str:
     """Return the line of links under a figure, and what its runs cost.
 
@@ -259,9 +270,10 @@ def hours(runs: pd.DataFrame) -> str:
     wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
     if len(without) == len(runs) > 0:
         return wall
-    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
+    words = f"{runs['processor_time_s'].sum() / 3600:.1f} CPU hours"
     if len(without):
-        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
+        older = style.trials(len(without)).replace("trial", "older trial")
+        words += f", and {wall} for {older} without a CPU count"
     return words
 
 

@@ -161,6 +161,17 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
     }
 
 
+def without_penalty(
+    frame: pd.DataFrame, column: str, factor: float = 1.0, method: str = "silem"
+) -> str:
+    """Write a method's means by the paper's loss for D on each body, in brackets those by ours."""
+    both, told = (results.paper_loss(frame), frame), []
+    for body in results.body_names(frame):
+        means = [(factor * results.cell(f, method, body)[column]).mean() for f in both]
+        told.append("{} ({} with it) on {}".format(*map(number, means), body))
+    return ", ".join(told)
+
+
 def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     """Return, as text, how a cell's best run came along: means up to parts of its iterations."""
     run_id = best_run(frame, method, body)
@@ -292,7 +303,7 @@ def reversal_sentences() -> dict[str, float]:
         "deep_good": tpil.at[2, ("reward_good", "mean")],
         "silem_good": means.at["silem", "reward_good"],
     }
-    return {name: round(100 * share, 1) for name, share in shares.items()} | rewards
+    return {name: round(100 * share) for name, share in shares.items()} | rewards
 
 
 @style.applied()
@@ -318,8 +329,10 @@ def reversal_figure() -> Figure:
             look = {"color": known.color, "ls": ":", "lw": 2}
             handles[known.label] = style.handle(label=known.label, **look)
             ranked.axhline(level.mean(), **look)
+    for axes, of in zip(panels, ("states", "pairs") * 2, strict=True):
+        axes.set(ylabel=f"share of {of}", ylim=(0.3, 1.03))
     for axes in panels[-2:]:
-        axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
+        axes.set_xlabel("C_g, weight of the reversed gradient")
     note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
     note += f"; seeds: {style.span(found['seed'])}"
     return style.finish(figure, list(handles.values()), note, ncols=4)
