@@ -80,7 +80,7 @@ def rises(frame: pd.DataFrame) -> list[bool]:
 
 @style.applied()
 def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
-    """Draw every run of one to four tables, by name, over iterations: a dash per table with runs."""
+    """Draw every run of one to four tables, by name, over iterations: a dash per table."""
     first, lines, dashes = next(iter(groups.values())), [], {}
     for ls, (name, frame) in zip(_DASHES, groups.items(), strict=False):
         if len(frame):

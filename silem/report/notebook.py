@@ -140,7 +140,7 @@ def play(clip: "Clip | None", caption: str) -> None:
     from silem.report import film as films
 
     height, width = clip.frames.shape[1:3]
-    poster = base64.b64encode(films.encode_png(clip.frames[0])).decode()
+    poster = base64.b64encode(films.encode_png(clip.frames[len(clip.frames) // 2])).decode()
     video = base64.b64encode(films.encode_mp4(clip)).decode()
     text = html.escape(caption)
     page = (

@@ -238,17 +238,6 @@ def trace(frame: pd.DataFrame) -> HTML:
     return HTML(f"{page}</div>")
 
 
-def still_missing(frame: pd.DataFrame) -> str:
-    """Say how many of the runs that a study plans are not made, and how to make them."""
-    if not (missing := frame.attrs["missing"]):
-        return "Nothing: all runs that the study plans have been made."
-    return (
-        f"Of the runs that the study plans, **{len(missing)}** have not been made. Each stands"
-        " below with the command that makes it. Whoever runs one and commits the folder that"
-        " appears under `data/results` changes this page."
-    )
-
-
 def links(frame: pd.DataFrame) -> str:
     """Return the line of links under a figure, and what its runs cost.
 
