@@ -129,8 +129,7 @@ def _with_something_to_show(cells: Sequence[Any]) -> Iterator[Any]:
     """Leave out the cells that show runs, where the last that asked for some found none."""
     empty = False
     for cell in cells:
-        tags = cell.metadata.get("tags", [])
-        if "needs-runs" in tags:
+        if "needs-runs" in (tags := cell.metadata.get("tags", [])):
             empty = NO_RUNS in str(cell.outputs)
         if not empty or "with-runs" not in tags:
             yield cell

@@ -166,13 +166,6 @@ def film(make: "Callable[[], Clip | None]", caption: str) -> "Clip | None":
     return clip
 
 
-def show_strip(clip: "Clip | None") -> None:
-    """Show a clip on paper: equally spaced pictures of it; say so where there is none."""
-    from silem.report import film as films
-
-    note("No pictures: there is no clip.") if clip is None else show_picture(films.strip(clip))
-
-
 def play_trials(
     records: pd.DataFrame, methods: Sequence[str], body: str, duration_s: float
 ) -> None:
@@ -202,8 +195,7 @@ def note(text: str) -> None:
     display(HTML(f"<p><em>{html.escape(text)}</em></p>"))
 
 
-NO_RUNS = "silem-no-runs"
-"""What a page's cell shows where `need_runs` found none."""
+NO_RUNS = "silem-no-runs"  # what a cell shows where `need_runs` found none
 
 
 def need_runs(frame: pd.DataFrame, what: str) -> None:

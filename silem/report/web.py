@@ -131,9 +131,9 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
         files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
     films = REPO / "book" / "_static"
     for path in films.rglob("*.mp4"):
-        about_film = imageio.immeta(path)
-        middle = int(about_film["duration"] * about_film["fps"] / 2)
-        poster = imageio.imwrite("<bytes>", imageio.imread(path, index=middle), extension=".jpg")
+        known = imageio.immeta(path)
+        middle = imageio.imread(path, index=int(known["duration"] * known["fps"] / 2))
+        poster = imageio.imwrite("<bytes>", middle, extension=".jpg")
         files.write_bytes((folder.parent / path.relative_to(films)).with_suffix(".jpg"), poster)
     about = {"version": NPM_PACKAGE[1], "mujoco_python": mujoco.version, "sizes": sizes}
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")

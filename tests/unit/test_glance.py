@@ -47,7 +47,7 @@ def test_the_pages_say_what_the_committed_records_say(
 
 
 def test_what_fails_stands_beside_what_holds_and_the_undecided_is_folded(made_up: Path) -> None:
-    box = glance.box()
+    box = glance.blocks()["claims"]
     families = box.split("**")[1::2]
     assert [text.split(",")[0] for text in families] == list(glance.FAMILIES.values())
     first, ants, humanoids = (text.partition("<details>") for text in box.split("**")[2::2])
@@ -69,7 +69,7 @@ def test_the_summary_counts_verdicts_and_says_what_the_penalty_does(made_up: Pat
     (without,) = (c for c in cells("no-gradient-penalty") if (c.method, c.body) == ("silem", "HC1"))
     for seed, goal in enumerate((300.0, 500.0)):
         synthetic.write_record(without.config("book", seed), goal)
-    text = glance.summary("../")
+    text = glance.blocks("../")["at a glance"]
     assert "Of [79 claims](../notebooks/07_scorecard.ipynb)" in text and "61 of these" in text
     assert re.search(r" 0.(89|9\d) on HC1", text)
     assert re.search(r" 39\d \(1,35\d with it\) on HC1", text)  # near 400 and 0.9 of 1,500
@@ -79,10 +79,10 @@ def test_the_summary_counts_verdicts_and_says_what_the_penalty_does(made_up: Pat
 
 def test_the_box_counts_trainings_and_hours(made_up: Path) -> None:
     # 13 cells of HalfCheetah are trained, five times each, and one humanoid, 420 s each.
-    assert "66 finished trainings" in (box := glance.box())
+    assert "66 finished trainings" in (box := glance.blocks()["claims"])
     assert f"and {66 * 420 / 3600:.1f} hours of wall time, on" in box
     assert "(1 to 5 in each cell" in box
-    assert "](../book/figures/halfcheetah.svg)" in glance.box("../")
+    assert "](../book/figures/halfcheetah.svg)" in glance.blocks("../")["claims"]
 
 
 def test_hours_are_processor_time_where_it_was_counted(
@@ -91,30 +91,31 @@ def test_hours_are_processor_time_where_it_was_counted(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     first, second = (RunConfig.create("HC0", "ppo", budget="book", seed=s) for s in (0, 1))
     synthetic.write_record(first, processor_time_s=3 * 3600.0)
-    assert "and 3.0 CPU hours, on" in glance.box()  # no hours by the clock: 420 s
+    assert "and 3.0 CPU hours, on" in glance.blocks()["claims"]  # no hours by the clock: 420 s
     synthetic.write_record(second)
     words = "3.0 CPU hours, and 0.1 hours of wall time for one older trial without a CPU count"
-    assert f"{words}, on one processor core" in (box := glance.box())
+    assert f"{words}, on one processor core" in (box := glance.blocks()["claims"])
     assert "empty slots are runs not made yet" in box
 
 
 def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
-    caption = glance.film()
+    caption = glance.blocks()["film"]
     assert "on Humanoid, HumanoidR, Atlas, with the means of all: SILEM 1 of 1 (" in caption
     assert "m/s, return 840); SILEM⁻ no run" in caption and BODIES["Humanoid"] in caption
 
 
 def test_without_any_run_the_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    assert "0 finished trainings" in glance.box() and ": SILEM no run" in glance.film()
-    assert "– on HC0" in glance.summary()
+    made = glance.blocks()
+    assert "0 finished trainings" in made["claims"] and ": SILEM no run" in made["film"]
+    assert "– on HC0" in made["at a glance"]
 
 
 def test_a_block_without_its_end_is_refused(made_up: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- film: begin -->\nold\n<!-- film: end -->\nafter")
     assert glance.filled(page) == (
-        f"before\n<!-- film: begin -->\n{glance.film()}\n<!-- film: end -->\nafter"
+        f"before\n<!-- film: begin -->\n{glance.blocks()['film']}\n<!-- film: end -->\nafter"
     )
     for text in ("no block", "<!-- film: begin -->\nold", "<!-- flim: begin --><!-- flim: end -->"):
         page.write_text(text)

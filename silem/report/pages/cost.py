@@ -82,10 +82,11 @@ def by_study(runs: pd.DataFrame) -> Styler:
     for study, group in [*runs.groupby("study", sort=False), ("all", runs)]:
         made, missing = _split(group)
         row = {"study": study, "runs": len(made), "missing": len(missing)}
-        row |= {"trials of a cell": _span(made.groupby("cell").size())}
+        row |= {"trials of a cell": style.span(made.groupby("cell").size())}
         row |= {"million steps": number(made["steps"].sum(), 1)} | _hours(made)
         row |= {"hours left": number(hours_left(missing, everything), 1)}
-        rows.append(row | {"published": _span(made["date"].dropna())})
+        days = sorted(made["date"].dropna())
+        rows.append(row | {"published": " to ".join(dict.fromkeys(days[:1] + days[-1:])) or DASH})
     return styled(pd.DataFrame(rows))
 
 
@@ -114,13 +115,6 @@ def _hours(runs: pd.DataFrame) -> dict[str, str]:
     of = f"{number(counted.sum(), 1)} ({len(counted)})" if len(counted) else DASH
     clock = number(runs["wall_time_s"].sum() / 3600, 1)
     return {"hours by the clock": clock, "hours of a processor (runs that counted)": of}
-
-
-def _span(values: pd.Series) -> str:
-    if values.empty:
-        return DASH
-    low, high = values.min(), values.max()
-    return f"{low}" if low == high else f"{low} to {high}"
 
 
 def _published() -> dict[str, str]:

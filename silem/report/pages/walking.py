@@ -160,14 +160,13 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
     }
 
 
-def without_penalty(
-    frame: pd.DataFrame, column: str, factor: float = 1.0, method: str = "silem"
-) -> str:
+def without_penalty(frame: pd.DataFrame, column: str, method: str = "silem") -> str:
     """Write a method's means by the paper's loss for D on each body, in brackets those by ours."""
     both, told = (results.paper_loss(frame), frame), []
     for body in results.body_names(frame):
-        means = [(factor * results.cell(f, method, body)[column]).mean() for f in both]
-        told.append("{} ({} with it) on {}".format(*map(number, means), body))
+        means = (results.cell(f, method, body)[column].mean() for f in both)
+        without, ours = (number(mean, QUANTITIES[column].digits) for mean in means)
+        told.append(f"{without} ({ours} with it) on {body}")
     return ", ".join(told)
 
 
