@@ -177,7 +177,7 @@ class RunningNormalizer(BaseFeaturesExtractor):  # its place is named in files t
 
     def update(self, observations: np.ndarray) -> None:
         """Merge the moments of a batch (B, O) into the running ones (Chan et al., 1979)."""
-        batch = th.from_numpy(np.asarray(observations, dtype=np.float64))
+        batch = th.from_numpy(np.asarray(observations, dtype=np.float64)).to(self.mean.device)
         mean, var, n = batch.mean(0), batch.var(0, unbiased=False), len(batch)
         total, delta = self.count + n, mean - self.mean
         self.var.copy_(

@@ -31,13 +31,12 @@ class Demonstrations:
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        shapes = {np.shape(array)[1:] for array in self.features}
+        object.__setattr__(self, "features", tuple(map(_float32, self.features)))
+        shapes = {array.shape[1:] for array in self.features}
         if [*map(len, shapes)] != [1] or shapes == {(0,)}:
             found = shapes or "none at all"
             raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {found}")
         for i, array in enumerate(self.features):
-            if array.dtype.kind != "f":
-                raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
                 raise SilemError(f"trajectory {i} is too short: {len(array)} of at least 2 states")
             if not np.isfinite(array).all():
@@ -95,7 +94,7 @@ class Demonstrations:
             given = f"one array {given.shape}; for one episode, [array]"
             raise SilemError(f"demonstrations are {given}; allowed: {wanted}")
         try:
-            return cls(tuple(_float32(array) for array in given))
+            return cls(tuple(given))
         except (TypeError, ValueError) as error:  # a SilemError is a ValueError
             raise SilemError(
                 f"unusable demonstrations: {reason(error)}; allowed: {wanted}"
@@ -114,7 +113,7 @@ class Demonstrations:
                 raise SilemError(f"it is no demonstrations file: it lacks {sorted(missing)}")
             features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
             whole = features.ndim == 2 and lengths.dtype.kind == "i"
-            parts = np.split(_float32(features), np.cumsum(lengths)[:-1]) if whole else []
+            parts = np.split(features, np.cumsum(lengths)[:-1]) if whole else []
             if not whole or [*map(len, parts)] != lengths.tolist():
                 raise SilemError("it is damaged: trajectory lengths do not add up")
             if not all(isinstance(text.tolist(), str) for text in (body, run_id)):
@@ -131,7 +130,7 @@ def _float32(array: Any) -> np.ndarray:
     if found.dtype.kind not in "fiu":
         raise SilemError(f"features are {found.dtype}; allowed: real numbers")
     with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
-        return found.astype(np.float32)
+        return found.astype(np.float32, copy=False)
 
 
 def expert_of(name: str) -> tuple[str, int | None]:

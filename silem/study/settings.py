@@ -105,8 +105,8 @@ class HyperParameters:
     transform_lr_decay: float = _used_by(  # d
         _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, kind=FACTOR
     )
-    disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
-    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND)
+    disc_learning_rate: float = _used_by(IMITATORS, 1e-3, kind=WEIGHT)
+    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND, kind=WEIGHT)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, _MEREL, kind=WEIGHT)
     gradient_penalty: float = _used_by(IMITATORS, 0.1, _FOUND, kind=WEIGHT)  # 0 switches it off
     transform_components: int = _used_by(("silem",), 1, optional=True)  # K, of an ensemble if > 1
