@@ -158,7 +158,8 @@ _CELL = (
     _option("--body", "--env", metavar="NAME",
             help="the learner's body (see `bodies`), or the id of any Gymnasium environment"),
     _option("--method", help=", ".join(METHODS)),
-    _option("--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file"),
+    _option("--demonstrations", metavar="NAME", 
+            help="an expert's body, a clip, or a file in $SILEM_DATA_DIR/demonstrations"),
     _option("--budget", help=f"{', '.join(BUDGETS)} (default: tiny)"),
     _ITERATIONS,
     _option("--seed", type=_TRIAL, help="default: 0"),
@@ -220,7 +221,7 @@ def budget_of(options: argparse.Namespace) -> Budget:
 def config_of(options: argparse.Namespace) -> RunConfig:
     """Return the configuration that the options of ``run`` ask for."""
     if options.demonstrations == "":
-        raise SilemError("--demonstrations needs a name, an expert's body, a clip or an .npz file")
+        raise SilemError("--demonstrations needs a name: an expert's body, a clip or a file")
     if not (options.body and options.method):
         raise SilemError("--body and --method are needed")
     body, method = options.body, choose("method", options.method, METHODS)

@@ -102,11 +102,12 @@ class Demonstrations:
 
     @classmethod
     def load(cls, source: Path | str) -> "Demonstrations":
-        """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
+        """Read demonstrations by name ("HC0", "cmu_08_01"), or from a file: what ends in ".npz".
 
         Raises SilemError: there is no such file, or it is none or damaged.
         """
-        path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
+        named = isinstance(source, str) and not ("/" in source or source.endswith(".npz"))
+        path = file_of(str(source)) if named else Path(source)
         arrays = files.read_npz(path)
         try:
             if missing := set(_OWN) - arrays.keys():
@@ -195,7 +196,7 @@ def is_published(name: str) -> bool:
         return False
     if (about := manifest().get(path.stem)) is not None:
         return bool(about.get("sha256") == files.sha256(path))
-    return not Demonstrations.load(name).expert_run_id
+    return not Demonstrations.load(path).expert_run_id
 
 
 def load_published(name: str) -> tuple[Demonstrations, str]:
@@ -209,7 +210,7 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
             f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
             " it again, with `silem demonstrations` or `silem mocap`"
         )
-    there = Demonstrations.load(name)
+    there = Demonstrations.load(path)
     if bodies.exists(path.stem) and there.body != path.stem:
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)

@@ -216,7 +216,7 @@ def demonstrate(
     path = demos.file_of(name)
     with demos.publishing():
         if path.exists() and not force:
-            there = Demonstrations.load(name)
+            there = Demonstrations.load(path)
             n, whose = len(there.features), there.expert_run_id or "another expert"
             if whose != record.run_id or n != n_trajectories:
                 told = f"{path} holds {n} trajectories of {whose} already"

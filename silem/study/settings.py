@@ -317,7 +317,7 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not bodies.exists(expert):
             choose("demonstrations", expert, bodies.names())
     if not wanted and family not in FAMILIES:
-        raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
+        raise SilemError(f"{method} on {body} needs demonstrations: a name (see `silem run -h`)")
     return wanted or original
 
 

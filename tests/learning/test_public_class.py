@@ -579,6 +579,22 @@ def test_other_settings_that_make_no_sense_are_refused(settings: dict, message: 
         point_mass(SILEM, **settings)
 
 
+@pytest.mark.parametrize(
+    ("body", "override"),
+    [
+        ("HC2", dict(clip_actions=False)),
+        ("HC2", dict(n_trajectories=3)),
+        ("HC2", dict(study="a")),
+        ("Humanoid", dict(starts="demonstration")),
+        ("Atlas", dict(ankle_range_rad=0.3)),
+    ],
+)
+def test_settings_refuse_what_no_argument_takes(body: str, override: dict) -> None:
+    assert silem.settings(body, gamma=0.5)["gamma"] == 0.5
+    with pytest.raises(SilemError, match=f"{next(iter(override))}: no argument of the class"):
+        silem.settings(body, **override)
+
+
 def test_windows_of_double_precision_are_judged() -> None:
     shown = [np.zeros((60, 2))]
     model = GAIfO("MlpPolicy", make_vec_env(PointMass, 1), silem.Demonstrations(shown), **SMALL)

@@ -36,7 +36,7 @@ create = RunConfig.create
         ({"method": "ppo", "window": 3}, "unknown hyper-parameter of ppo 'window'"),
         ({"method": "silem-minus", "n_transform_updates": 3}, "of silem-minus"),
         ({"method": "random", "gamma": 0.9}, "of random"),
-        ({"gamma": "0.9"}, "gamma must be a number above 0"),
+        ({"gamma": "0.9"}, "gamma must be a number from 0"),
         ({"gamma": 1.01}, "gamma must be a number from 0 to 1"),
         ({"learning_rate": 0}, "learning_rate must be a finite number above 0"),
         ({"learning_rate": float("nan")}, "learning_rate must be a finite number above 0"),
