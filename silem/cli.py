@@ -365,6 +365,9 @@ def _status(options: argparse.Namespace) -> None:
 @_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)
 def _show(options: argparse.Namespace) -> None:
     """Every value of a run, and where it comes from."""
+    said = [names[0] for names, _ in _CELL if getattr(options, names[0][2:]) is not None]
+    if options.run_id and said:
+        raise SilemError(f"show takes a RUN_ID, or what `run` takes, not both: {', '.join(said)}")
     config = runs.get(options.run_id).run_config if options.run_id else config_of(options)
     print(config.describe())
 

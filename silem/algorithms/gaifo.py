@@ -99,7 +99,7 @@ class GAIfO(PPO):
         disc_entropy_coef: float = 1e-3,
         gradient_penalty: float = 0.1,
         reward: str = "d",
-        absorbing_states: Any = False,
+        absorbing_states: bool | Sequence[bool] | np.ndarray = False,
         **kwargs: Any,
     ) -> None:
         # as given: `_setup_model` checks them, because `load` puts arguments of its own in place
@@ -111,7 +111,7 @@ class GAIfO(PPO):
         self.disc_entropy_coef = disc_entropy_coef
         self.gradient_penalty = gradient_penalty
         self.reward = reward
-        self.absorbing_states = absorbing_states
+        self.absorbing_states: Any = absorbing_states
         super().__init__(policy, env, **kwargs)
 
     def train(self) -> None:
@@ -385,9 +385,7 @@ class LearnerFeatures:
         except ValueError as error:  # of several lengths
             raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
         if (kind := features.dtype).kind not in "fiu":
-            raise SilemError(
-                f"the learner's skeletal features are no vectors of numbers but {kind}"
-            )
+            raise SilemError(f"the learner's features are no vectors of numbers but {kind}")
         features = features.astype(np.float32, copy=False).reshape(len(which), -1)
         if features.shape[1] != self.n_features:
             raise SilemError(

@@ -51,6 +51,8 @@ class PPO(SB3PPO):
     def __init__(
         self, policy: Any, env: Any, *args: Any, normalize_observations: bool = True, **kwargs: Any
     ) -> None:
+        for name in kwargs:
+            errors.choose(f"argument of {type(self).__name__}", name, sorted(self._arguments()))
         self.normalize_observations = normalize_observations
         if normalize_observations and policy in ("MlpPolicy", ActorCriticPolicy):
             chosen = {"features_extractor_class": RunningNormalizer}
@@ -83,26 +85,28 @@ class PPO(SB3PPO):
         Raises SilemError: an argument is unknown or of no use, the networks that the arguments
         describe are not those of the file, or the file cannot be read.
         """
-        allowed = {"print_system_info": None, "force_reset": None}
-        for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
-            allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
-        names = sorted(allowed.keys() - _OF_THE_FILE)
+        names = cls._arguments() - _OF_THE_FILE | {"print_system_info", "force_reset"}
         for name in kwargs:
-            errors.choose(f"argument of {cls.__name__}.load", name, names)
+            errors.choose(f"argument of {cls.__name__}.load", name, sorted(names))
         if "stats_window_size" in kwargs:
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
             return super().load(path, env, device, custom_objects, **kwargs)
         except SilemError:
             raise
-        except RuntimeError as error:
+        except (OSError, RuntimeError, ValueError) as error:
             reason = errors.reason(error)
-            raise SilemError(f"{path} holds other networks than asked for: {reason}") from error
-        except (OSError, ValueError) as error:
-            reason = errors.reason(error)
-            if "object name" in reason or "Names of parameters" in reason:
+            if isinstance(error, RuntimeError):
+                reason = f"it holds other networks than asked for: {reason}"
+            elif "object name" in reason or "Names of parameters" in reason:
                 reason = f"another class than {cls.__name__} saved it"
             raise SilemError(f"cannot load {path}: {reason}") from error
+
+    @classmethod
+    def _arguments(cls) -> set[str]:
+        """Return the names of all that the constructors take."""
+        made = (c.__init__ for c in cls.__mro__ if issubclass(c, SB3PPO))
+        return {name for init in made for name in inspect.signature(init).parameters}
 
     def export_policy(self, path: Path | str, **about: str) -> None:
         """Write the policy, for `silem.load_policy`: a safetensors file, with metadata ``about``.
@@ -197,20 +201,14 @@ class PPO(SB3PPO):
             if not callback.on_step():
                 return False
             if self._was_reset():
-                raise SilemError(
-                    "a callback has reset the training environments in the middle of a rollout; "
-                    "whatever evaluates the model needs environments of its own"
-                )
+                told = "a callback has reset the training environments in the middle of a rollout"
+                raise SilemError(f"{told}; an evaluation needs environments of its own")
             self._update_info_buffer(infos, dones)
-            if isinstance(self.action_space, spaces.Discrete):
-                actions = actions.reshape(-1, 1)
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
-            _store(
-                rollout_buffer, step, observations=self._last_obs, actions=actions, rewards=rewards,
-                episode_starts=self._last_episode_starts, values=values, log_probs=log_probs,
-            )  # fmt: skip
-            self._last_obs, self._last_episode_starts = new_obs, dones
+            seen: Any = self._last_obs, actions, rewards, self._last_episode_starts
+            rollout_buffer.add(*seen, *map(th.from_numpy, (values, log_probs)))
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
         self._midway = False
         self._set_rewards(rollout_buffer.rewards)
         callback.update_locals(locals())
@@ -380,20 +378,3 @@ class PPO(SB3PPO):
                 self.iteration_stats[name] = float(np.mean(values))
         if hasattr(self.policy, "log_std"):
             self.iteration_stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
-
-
-def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
-    """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
-
-    ``RolloutBuffer.add``, which buffers of another class take, is several times slower.
-    """
-    if type(buffer) is not RolloutBuffer:
-        tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))
-        names = ("observations", "actions", "rewards", "episode_starts")
-        buffer.add(*(rows[name] for name in names), *tensors)
-        return
-    for name, row in rows.items():
-        into = getattr(buffer, name)[step]
-        into[...] = np.reshape(row, into.shape)
-    buffer.pos = step + 1
-    buffer.full = buffer.pos == buffer.buffer_size

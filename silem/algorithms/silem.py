@@ -1,6 +1,6 @@
 """SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -123,11 +123,10 @@ class SILEM(GAIfO):
         super()._setup_model()
         size, count = self.demonstrations.n_features, self.transform_components
         if count == 1:
-            transform: nn.Module = TRANSFORMS[self.transform](size)
+            transform = TRANSFORMS[self.transform](size)
         else:
-            transform = AffineEnsemble(
-                count, th.from_numpy(np.concatenate(self.demonstrations.features))
-            )
+            states = th.from_numpy(np.concatenate(self.demonstrations.features))
+            transform = AffineEnsemble(count, states)
         self.transform_net, rate = transform.to(self.device), self.transform_learning_rate
         self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 
@@ -208,14 +207,10 @@ class AffineEnsemble(AffineTransform):
         return self.shares @ values
 
 
-class MLPTransform(nn.Sequential):
-    """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
-
-    def __init__(self, n_features: int) -> None:
-        super().__init__(*create_mlp(n_features, n_features, [MLP_HIDDEN_UNITS], nn.Tanh))
-
-
-TRANSFORMS = {"affine": AffineTransform, "mlp": MLPTransform}
+TRANSFORMS: dict[str, Callable[[int], nn.Module]] = {
+    "affine": AffineTransform,
+    "mlp": lambda size: nn.Sequential(*create_mlp(size, size, [MLP_HIDDEN_UNITS], nn.Tanh)),
+}
 """f of the sequential transform by name: one function, applied to every state of a window."""
 
 

@@ -96,9 +96,8 @@ class Demonstrations:
         try:
             return cls(tuple(given))
         except (TypeError, ValueError) as error:  # a SilemError is a ValueError
-            raise SilemError(
-                f"unusable demonstrations: {reason(error)}; allowed: {wanted}"
-            ) from error
+            told = f"unusable demonstrations: {reason(error)}"
+            raise SilemError(f"{told}; allowed: {wanted}") from error
 
     @classmethod
     def load(cls, source: Path | str) -> "Demonstrations":
@@ -206,10 +205,8 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
-        raise SilemError(
-            f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
-            " it again, with `silem demonstrations` or `silem mocap`"
-        )
+        told = f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs)"
+        raise SilemError(f"{told}; `silem demonstrations` or `silem mocap` publishes it again")
     there = Demonstrations.load(path)
     if bodies.exists(path.stem) and there.body != path.stem:
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")

@@ -90,7 +90,7 @@ def rollout(
     policy = policy or RandomPolicy(found)
     reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
     reseed(seeding.child_seed(seed, "video policy"))
-    drawn = {"render_mode": "rgb_array"} if found.engine == "gymnasium" else {}
+    drawn: dict[str, Any] = {"render_mode": "rgb_array"} if found.engine == "gymnasium" else {}
     made: Any = silem.make_vec(found, 1, seeding.child_seed(seed, "video env"), **drawn)
     with closing(made) as env:
         env.picture_size = size

@@ -248,10 +248,10 @@ def demonstrator(experts: Sequence[RunConfig]) -> RunRecord:
     found = [find(config.run_id) for config in experts]
     missing = [config for config, record in zip(experts, found, strict=True) if record is None]
     if missing:
-        raise SilemError(
+        told = (
             f"the demonstrator of {missing[0].body} is the best of {len(found)} experts, of which"
-            f" {len(missing)} are not finished; next: {missing[0].command}"
         )
+        raise SilemError(f"{told} {len(missing)} are not finished; next: {missing[0].command}")
     records = [record for record in found if record is not None]
     return max(records, key=lambda record: float(record.evaluation["return_mean"]))
 
@@ -401,13 +401,7 @@ def run(
             gc.collect()
 
 
-def _make(
-    config: RunConfig,
-    shown: tuple[Demonstrations | None, str],
-    progress: bool,
-    until: float,
-    most: float,
-) -> RunRecord:
+def _make(config: RunConfig, shown: Any, progress: bool, until: float, most: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
@@ -491,10 +485,8 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
         budget = BUDGETS.get(config.budget.base_name, config.budget)
         expert = experts(name, budget)[0].command
         body = expert.partition(" --method")[0].removeprefix("silem run")
-        raise SilemError(
-            f"there are no demonstrations of {name} ({path}); train its expert with `{expert}`,"
-            f" then `silem demonstrations{body} --budget {budget.name}`"
-        )
+        told = f"there are no demonstrations of {name} ({path}); train its expert with `{expert}`"
+        raise SilemError(f"{told}, then `silem demonstrations{body} --budget {budget.name}`")
     there, sha = demos.load_published(name)
     if (n := config.hyper.n_trajectories) > len(there.features):
         raise SilemError(f"n_trajectories is {n}, and {path} holds {len(there.features)}")

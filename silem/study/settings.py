@@ -177,10 +177,8 @@ class Budget:
             if name != "name":
                 COUNT.check(f"budget {name}", count)
         if self.steps_per_iteration % self.n_envs:
-            raise SilemError(
-                f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
-                f" divide among {self.n_envs} environments"
-            )
+            told = f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration"
+            raise SilemError(f"{told} do not divide among {self.n_envs} environments")
 
     @property
     def n_steps(self) -> int:

@@ -33,8 +33,7 @@ from silem.util.errors import SilemError, reason
 _PROGRESS_EVERY_S = 2.0
 _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 _TEXTS = ("run_id", "demonstrations_sha256")  # of a checkpoint's metadata; the others are JSON
-# what `make_env` and `make_model` see to
-_OF_RUNS = ("clip_actions", "n_trajectories", "starts")
+_OF_RUNS = ("clip_actions", "n_trajectories", "starts")  # `make_env` and `make_model` see to them
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 
 
@@ -186,10 +185,8 @@ class Checkpoint:
         """Write the checkpoint; a crash, or SilemError if it diverged, leaves the one before."""
         for name, array in self.model.items():
             if not np.isfinite(array).all():
-                raise SilemError(
-                    f"{self.run_id} diverged before iteration {self.iteration}: {name} holds NaN"
-                    " or infinity; the checkpoint before is kept"
-                )
+                why = f"{self.run_id} diverged before iteration {self.iteration}: {name} holds NaN"
+                raise SilemError(f"{why} or infinity; the checkpoint before is kept")
         arrays = {_MODEL + name: array for name, array in self.model.items()}
         arrays[_CURVE] = self.curve
         told = {n: v for n, v in vars(self).items() if n not in ("curve", "model", "began")}
@@ -224,10 +221,8 @@ class Checkpoint:
                 raise SilemError(f"{path} is of another version: its curve is another")
             return found
         except (KeyError, TypeError, ValueError) as error:  # a SilemError is one
-            raise SilemError(
-                f"damaged checkpoint: {reason(error)}; move it away, or run with --force, to start"
-                " this run anew"
-            ) from error
+            advice = "move it away, or run with --force, to start this run anew"
+            raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:

@@ -572,6 +572,7 @@ def test_numbers_that_are_out_of_range_are_refused(name: str, value: object) -> 
         (dict(n_disc_updates=121), "n_disc_updates is 121; a rollout has 120 windows"),
         (dict(n_transform_updates=121), "n_transform_updates is 121"),
         (dict(absorbing_states=True, gamma=1.0), "gamma below 1"),
+        (dict(gradient_penality=0.1), "argument of SILEM 'gradient_penality'; .*gradient_penalty,"),
     ],
 )
 def test_other_settings_that_make_no_sense_are_refused(settings: dict, message: str) -> None:
