@@ -113,7 +113,7 @@ def test_experts(execute: Execute, data_dir: Path, tmp_path: Path) -> None:
     assert "18 runs" in words(output(page, "experts-runs"))
     assert re.search(r"HC1 800 5 [\d,]+ .* HC1 2,000 1 1,2\d\d ", words(output(page, "longer")))
     unlike = words(output(page, "unlike-ppo1"))
-    assert re.search(r"as in this book 5 [\d,]+ .*actions clipped no 0", unlike)
+    assert re.search(r"as in this book 5 [\d,]+ .*clipping of actions off 0", unlike)
     _, frames = video(output(page, "video"), tmp_path)
     assert frames == 6
     demonstrator = find_demonstrator(frame)
@@ -259,6 +259,8 @@ def test_beyond_the_paper(execute: Execute) -> None:
     assert verdicts.count("undecided") == len(claims.of("slope"))
     assert "HC0 affine, K = 1 5" in words(output(page, "ensembles"))
     assert "no run" in words(output(page, "arms"))
+    for part in ("ladder", "ladder-ant", "slope", "ensembles", "arms"):
+        assert "is finished; " in words(output(page, f"{part}-load")), part
 
 
 def test_open_settings(execute: Execute) -> None:
@@ -283,6 +285,7 @@ def test_without_records_a_page_says_so(execute: Execute, name: str) -> None:
         spoken = said(page)
         listed = words(output(page, "missing")).count("silem run")
         assert int(spoken.pop("n_missing")) == listed > 0
+        assert spoken.pop("power") == "80"
         assert set(spoken.values()) == {"–", "undecided"}
         assert "HC2, first trials, in real time: SILEM: no run yet" in text
     if name == "07_scorecard":
