@@ -158,7 +158,8 @@ _CELL = (
     _option("--body", "--env", metavar="NAME",
             help="the learner's body (see `bodies`), or the id of any Gymnasium environment"),
     _option("--method", help=", ".join(METHODS)),
-    _option("--demonstrations", metavar="NAME", help="the expert's body, a clip, or an .npz file"),
+    _option("--demonstrations", metavar="NAME", 
+            help="an expert's body, a clip, or a file in $SILEM_DATA_DIR/demonstrations"),
     _option("--budget", help=f"{', '.join(BUDGETS)} (default: tiny)"),
     _ITERATIONS,
     _option("--seed", type=_TRIAL, help="default: 0"),
@@ -220,7 +221,7 @@ def budget_of(options: argparse.Namespace) -> Budget:
 def config_of(options: argparse.Namespace) -> RunConfig:
     """Return the configuration that the options of ``run`` ask for."""
     if options.demonstrations == "":
-        raise SilemError("--demonstrations needs a name, an expert's body, a clip or an .npz file")
+        raise SilemError("--demonstrations needs a name: an expert's body, a clip or a file")
     if not (options.body and options.method):
         raise SilemError("--body and --method are needed")
     body, method = options.body, choose("method", options.method, METHODS)
@@ -364,6 +365,9 @@ def _status(options: argparse.Namespace) -> None:
 @_takes(_option("run_id", metavar="RUN_ID", nargs="?", help="or what `run` takes:"), *_CELL)
 def _show(options: argparse.Namespace) -> None:
     """Every value of a run, and where it comes from."""
+    said = [names[0] for names, _ in _CELL if getattr(options, names[0][2:]) is not None]
+    if options.run_id and said:
+        raise SilemError(f"show takes a RUN_ID, or what `run` takes, not both: {', '.join(said)}")
     config = runs.get(options.run_id).run_config if options.run_id else config_of(options)
     print(config.describe())
 

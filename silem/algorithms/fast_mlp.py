@@ -224,10 +224,7 @@ class FlatActorCritic:
         nets = policy.mlp_extractor
         self._actor, self._critic = (
             _Tower([views[n.weight] + views[n.bias] for n in net if isinstance(n, nn.Linear)])
-            for net in (
-                [*nets.policy_net, policy.action_net],
-                [*nets.value_net, policy.value_net],
-            )
+            for net in ([*nets.policy_net, policy.action_net], [*nets.value_net, policy.value_net])
         )
 
     def _tensor_pointers(self) -> list[int]:

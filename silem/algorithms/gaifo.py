@@ -20,7 +20,7 @@ from silem.algorithms.networks import Discriminator, discriminator_loss
 from silem.algorithms.ppo import PPO
 from silem.envs.base import INFO_KEY
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import COUNT, RATE, WEIGHT, NumberKind, SilemError, choose
+from silem.util.errors import COUNT, WEIGHT, NumberKind, SilemError, choose
 
 REWARDS = {
     "d": th.sigmoid,  # D
@@ -75,7 +75,7 @@ class GAIfO(PPO):
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = PPO._numbers | {
-        "window": COUNT, "n_disc_updates": COUNT, "disc_learning_rate": RATE,
+        "window": COUNT, "n_disc_updates": COUNT, "disc_learning_rate": WEIGHT,
         "disc_entropy_coef": WEIGHT, "gradient_penalty": WEIGHT,
     }  # fmt: skip
     _learns: ClassVar[dict[str, tuple[str, str]]] = PPO._learns | {
@@ -99,7 +99,7 @@ class GAIfO(PPO):
         disc_entropy_coef: float = 1e-3,
         gradient_penalty: float = 0.1,
         reward: str = "d",
-        absorbing_states: bool | Sequence[bool] = False,
+        absorbing_states: bool | Sequence[bool] | np.ndarray = False,
         **kwargs: Any,
     ) -> None:
         # as given: `_setup_model` checks them, because `load` puts arguments of its own in place
@@ -111,7 +111,7 @@ class GAIfO(PPO):
         self.disc_entropy_coef = disc_entropy_coef
         self.gradient_penalty = gradient_penalty
         self.reward = reward
-        self.absorbing_states = absorbing_states
+        self.absorbing_states: Any = absorbing_states
         super().__init__(policy, env, **kwargs)
 
     def train(self) -> None:
@@ -152,16 +152,16 @@ class GAIfO(PPO):
 
         Raises SilemError if the windows have another length or feature width than D's.
         """
+        windows = np.asarray(windows, dtype=np.float32)
         wanted = (self.window, self.demonstrations.n_features)
         if windows.shape[1:] != wanted:
             raise SilemError(f"windows must be (B, {wanted[0]}, {wanted[1]}), not {windows.shape}")
         shown = th.from_numpy(marked(windows) if self._absorbing else windows).to(self.device)
         return self._judged(self._transformed(shown), "d")
 
-    def reseed(self, seed: int) -> None:
-        """Restart every random stream of the model from ``seed``."""
-        super().reseed(seed)
-        self._torch_rng.manual_seed(seed)
+    def _seed_streams(self, seed: int) -> None:
+        super()._seed_streams(seed)
+        self._torch_rng = th.Generator().manual_seed(seed)
 
     def _check_settings(self) -> None:
         super()._check_settings()
@@ -176,12 +176,13 @@ class GAIfO(PPO):
         choose("reward", self.reward, REWARDS)
         self.demonstrations = Demonstrations.of(self.demonstrations)
         marks, n = self.absorbing_states, len(self.demonstrations.features)
-        per_episode = (
-            isinstance(marks, Sequence) and len(marks) == n and {*map(type, marks)} == {bool}
-        )
-        if not isinstance(marks, bool) and not per_episode:
-            raise SilemError(f"absorbing_states must be a bool, or one for each of {n} episodes")
+        if isinstance(marks, np.ndarray | np.bool_):
+            marks = marks.tolist()
         self._absorbing = marks is not False
+        self._ended = ended = [marks] * n if isinstance(marks, bool) else marks
+        known = isinstance(ended, Sequence) and len(ended) == n
+        if not known or not all(isinstance(end, bool | np.bool_) for end in ended):
+            raise SilemError(f"absorbing_states must be a bool, or one for each of {n} episodes")
         if self._absorbing and not self.gamma < 1:
             raise SilemError(f"absorbing_states need a gamma below 1, not {self.gamma!r}")
 
@@ -193,15 +194,12 @@ class GAIfO(PPO):
         self._warned = False
         windows = [episode_windows(f, self.window) for f in self.demonstrations.features]
         if self._absorbing:  # those in the absorbing state come last
-            marks = self.absorbing_states
-            ended = [marks] * len(windows) if isinstance(marks, bool) else marks
-            after = [absorbing_windows(w[-1]) for w, end in zip(windows, ended, strict=True) if end]
-            windows = [*map(marked, windows), *after]
+            ended = (w for w, end in zip(windows, self._ended, strict=True) if end)
+            windows = [*map(marked, windows), *(absorbing_windows(w[-1]) for w in ended)]
         self._expert_windows = th.from_numpy(np.concatenate(windows)).to(self.device)
         self.discriminator = self._make_discriminator(n_features + self._absorbing).to(self.device)
         learned, rate = self.discriminator.parameters(), self.disc_learning_rate
         self.disc_optimizer = th.optim.Adam(learned, lr=rate)
-        self._torch_rng = th.Generator().manual_seed(self.seed or 0)
 
     def _make_discriminator(self, n_features: int) -> th.nn.Module:
         """Build D, a module from windows (B, W, F) to logits (B,) that are high for the expert."""
@@ -387,9 +385,7 @@ class LearnerFeatures:
         except ValueError as error:  # of several lengths
             raise SilemError(f"the learner's skeletal features are no vectors: {error}") from error
         if (kind := features.dtype).kind not in "fiu":
-            raise SilemError(
-                f"the learner's skeletal features are no vectors of numbers but {kind}"
-            )
+            raise SilemError(f"the learner's features are no vectors of numbers but {kind}")
         features = features.astype(np.float32, copy=False).reshape(len(which), -1)
         if features.shape[1] != self.n_features:
             raise SilemError(

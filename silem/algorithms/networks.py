@@ -154,10 +154,8 @@ class RunningNormalizer(BaseFeaturesExtractor):  # its place is named in files t
 
     def __init__(self, observation_space: spaces.Box) -> None:
         if not isinstance(observation_space, spaces.Box) or len(observation_space.shape) != 1:
-            raise SilemError(
-                f"observation normalisation needs a flat Box space, got {observation_space}; "
-                "pass normalize_observations=False"
-            )
+            told = f"observation normalisation needs a flat Box, not {observation_space}"
+            raise SilemError(f"{told}; pass normalize_observations=False")
         n_features = observation_space.shape[0]
         super().__init__(observation_space, n_features)
         self.mean = nn.Buffer(th.zeros(n_features, dtype=th.float64))
@@ -177,7 +175,7 @@ class RunningNormalizer(BaseFeaturesExtractor):  # its place is named in files t
 
     def update(self, observations: np.ndarray) -> None:
         """Merge the moments of a batch (B, O) into the running ones (Chan et al., 1979)."""
-        batch = th.from_numpy(np.asarray(observations, dtype=np.float64))
+        batch = th.from_numpy(np.asarray(observations, dtype=np.float64)).to(self.mean.device)
         mean, var, n = batch.mean(0), batch.var(0, unbiased=False), len(batch)
         total, delta = self.count + n, mean - self.mean
         self.var.copy_(

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from stable_baselines3 import PPO as SB3PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.utils import explained_variance, obs_as_tensor, set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
@@ -29,10 +30,10 @@ class PPO(SB3PPO):
     """Proximal policy optimisation (Schulman et al., 2017) on stable-baselines3's interface.
 
     The tanh MLP of ``MlpPolicy`` is rolled out and updated by :class:`FlatActorCritic`; any other
-    policy or preprocessing, a clipped value loss and gSDE go through stable-baselines3's own code.
-    The arguments are those of ``stable_baselines3.PPO``, and ``normalize_observations``, which puts
-    :class:`RunningNormalizer` in front of an ``MlpPolicy``. Raises SilemError: a number is not of
-    its kind.
+    policy, preprocessing or buffer, a clipped value loss and gSDE go through stable-baselines3's
+    own code. The arguments are those of ``stable_baselines3.PPO``, with "cpu" as the default
+    ``device``, and ``normalize_observations``, which puts :class:`RunningNormalizer` in front of an
+    ``MlpPolicy``. Raises SilemError: a number is not of its kind.
     """
 
     _numbers: ClassVar[dict[str, NumberKind]] = {
@@ -41,6 +42,7 @@ class PPO(SB3PPO):
         "learning_rate": RATE, "clip_range": RATE, "clip_range_vf": RATE, "target_kl": RATE,
         "stats_window_size": COUNT, "seed": SEED,
     }  # fmt: skip
+    _schedules: ClassVar[set[str]] = {"learning_rate", "clip_range", "clip_range_vf"}  # may be
     _optional: ClassVar[set[str]] = {"clip_range_vf", "target_kl", "seed"}  # may be None
     # what learns: its module and its optimizer among the attributes, which `save` keeps as such
     _learns: ClassVar[dict[str, tuple[str, str]]] = {"policy": ("policy", "policy.optimizer")}
@@ -49,16 +51,18 @@ class PPO(SB3PPO):
     def __init__(
         self, policy: Any, env: Any, *args: Any, normalize_observations: bool = True, **kwargs: Any
     ) -> None:
+        for name in kwargs:
+            errors.choose(f"argument of {type(self).__name__}", name, sorted(self._arguments()))
         self.normalize_observations = normalize_observations
-        if normalize_observations and policy == "MlpPolicy":
+        if normalize_observations and policy in ("MlpPolicy", ActorCriticPolicy):
             chosen = {"features_extractor_class": RunningNormalizer}
             kwargs["policy_kwargs"] = chosen | (kwargs.get("policy_kwargs") or {})
         kwargs.setdefault("device", "cpu")
         self._fast: FlatActorCritic | None = None
         self._begun: list[Any] = []
+        self._midway = False  # in a rollout, or in one that was broken off
         self.iteration_stats: dict[str, float] = {}
         self._check_numbers(kwargs)  # before stable-baselines3 divides by them
-        self._rng = np.random.default_rng(kwargs.get("seed"))
         super().__init__(policy, env, *args, **kwargs)
 
     @classmethod
@@ -81,23 +85,28 @@ class PPO(SB3PPO):
         Raises SilemError: an argument is unknown or of no use, the networks that the arguments
         describe are not those of the file, or the file cannot be read.
         """
-        allowed = {"print_system_info": None, "force_reset": None}
-        for made in (c for c in cls.__mro__ if issubclass(c, SB3PPO)):
-            allowed |= dict.fromkeys(inspect.signature(made.__init__).parameters)
-        names = sorted(allowed.keys() - _OF_THE_FILE)
+        names = cls._arguments() - _OF_THE_FILE | {"print_system_info", "force_reset"}
         for name in kwargs:
-            errors.choose(f"argument of {cls.__name__}.load", name, names)
+            errors.choose(f"argument of {cls.__name__}.load", name, sorted(names))
         if "stats_window_size" in kwargs:
             kwargs["_stats_window_size"] = kwargs.pop("stats_window_size")
         try:
             return super().load(path, env, device, custom_objects, **kwargs)
         except SilemError:
             raise
-        except RuntimeError as error:
+        except (OSError, RuntimeError, ValueError) as error:
             reason = errors.reason(error)
-            raise SilemError(f"{path} holds other networks than asked for: {reason}") from error
-        except (OSError, ValueError) as error:
-            raise SilemError(f"cannot load {path}: {errors.reason(error)}") from error
+            if isinstance(error, RuntimeError):
+                reason = f"it holds other networks than asked for: {reason}"
+            elif "object name" in reason or "Names of parameters" in reason:
+                reason = f"another class than {cls.__name__} saved it"
+            raise SilemError(f"cannot load {path}: {reason}") from error
+
+    @classmethod
+    def _arguments(cls) -> set[str]:
+        """Return the names of all that the constructors take."""
+        made = (c.__init__ for c in cls.__mro__ if issubclass(c, SB3PPO))
+        return {name for init in made for name in inspect.signature(init).parameters}
 
     def export_policy(self, path: Path | str, **about: str) -> None:
         """Write the policy, for `silem.load_policy`: a safetensors file, with metadata ``about``.
@@ -107,10 +116,18 @@ class PPO(SB3PPO):
         """
         state.export_policy(self.policy, Path(path), about)
 
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """Restart all random streams, and the environments'; None takes torch's next number."""
+        super().set_random_seed(seed)
+        self._seed_streams(int(th.randint(2**31, ())) if seed is None else seed)
+
     def reseed(self, seed: int) -> None:
-        """Restart every random stream of the model from ``seed``."""
-        self._rng = np.random.default_rng(seed)
+        """Restart every random stream of the model from ``seed``; the environments' go on."""
         set_random_seed(seed)  # torch, and the global NumPy stream of SB3's own path
+        self._seed_streams(seed)
+
+    def _seed_streams(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return what training needs at an iteration's start, with new episodes and `reseed`."""
@@ -127,7 +144,7 @@ class PPO(SB3PPO):
         }
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> Any:
-        if self._was_reset():
+        if self._midway or self._was_reset():
             self._last_obs = None  # stable-baselines3 then begins new episodes
         prepared = super()._setup_learn(*args, **kwargs)
         self._note_begun()
@@ -170,15 +187,13 @@ class PPO(SB3PPO):
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
         self._begin_rollout(env)
-        obs: Any = self._last_obs
-        starts = self._last_episode_starts
         # A rollout that a callback or an error breaks off leaves the environments ahead of what
         # the model saw of them: `learn` begins with new episodes then.
-        self._last_obs = None
+        self._midway = True
         for step in range(n_rollout_steps):
             if self.use_sde and self.sde_sample_freq > 0 and step % self.sde_sample_freq == 0:
                 self.policy.reset_noise(env.num_envs)
-            actions, values, log_probs = self._sample(obs)
+            actions, values, log_probs = self._sample(self._last_obs)
             new_obs, rewards, dones, infos = env.step(self._env_actions(actions))
             self.num_timesteps += env.num_envs
             self._note_begun()
@@ -186,21 +201,15 @@ class PPO(SB3PPO):
             if not callback.on_step():
                 return False
             if self._was_reset():
-                raise SilemError(
-                    "a callback has reset the training environments in the middle of a rollout; "
-                    "whatever evaluates the model needs environments of its own"
-                )
+                told = "a callback has reset the training environments in the middle of a rollout"
+                raise SilemError(f"{told}; an evaluation needs environments of its own")
             self._update_info_buffer(infos, dones)
-            if isinstance(self.action_space, spaces.Discrete):
-                actions = actions.reshape(-1, 1)
             self._note_episode_ends(step, dones, infos)
             self._note_step(step, new_obs, dones, infos, env)
-            _store(
-                rollout_buffer, step, observations=obs, actions=actions, rewards=rewards,
-                episode_starts=starts, values=values, log_probs=log_probs,
-            )  # fmt: skip
-            obs, starts = new_obs, dones
-        self._last_obs, self._last_episode_starts = obs, starts
+            seen: Any = self._last_obs, actions, rewards, self._last_episode_starts
+            rollout_buffer.add(*seen, *map(th.from_numpy, (values, log_probs)))
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
+        self._midway = False
         self._set_rewards(rollout_buffer.rewards)
         callback.update_locals(locals())
         callback.on_rollout_end()
@@ -232,7 +241,8 @@ class PPO(SB3PPO):
         changed them; between these two nothing may. Where it does not reproduce the policy, there
         is no twin, and stable-baselines3's own code runs.
         """
-        if not FlatActorCritic.supports(self.policy) or self.clip_range_vf is not None:
+        plain = type(self.rollout_buffer) is RolloutBuffer and self.clip_range_vf is None
+        if not plain or not FlatActorCritic.supports(self.policy):
             self._fast = None
         elif self._fast is None or self._fast.policy is not self.policy:
             self._fast = FlatActorCritic(self.policy)
@@ -249,8 +259,9 @@ class PPO(SB3PPO):
     def _check_numbers(self, values: dict[str, Any]) -> None:
         for name, kind in self._numbers.items():
             value = values.get(name, 1)
-            if not (callable(value) or (value is None and name in self._optional)):
-                kind.check(name, value)  # rates and ranges may be schedules
+            free = name in self._schedules if callable(value) else name in self._optional
+            if not free or not (callable(value) or value is None):
+                kind.check(name, value)
 
     def _check_settings(self) -> None:
         """Check the arguments, whether the constructor or `load` put them in their places."""
@@ -259,7 +270,6 @@ class PPO(SB3PPO):
     def _setup_model(self) -> None:
         self._check_settings()
         super()._setup_model()
-        self._rng = np.random.default_rng(self.seed)
         self._refresh_twin()
 
     def _begin_rollout(self, env: VecEnv) -> None:
@@ -368,20 +378,3 @@ class PPO(SB3PPO):
                 self.iteration_stats[name] = float(np.mean(values))
         if hasattr(self.policy, "log_std"):
             self.iteration_stats["policy_std"] = float(self.policy.log_std.detach().exp().mean())
-
-
-def _store(buffer: RolloutBuffer, step: int, **rows: Any) -> None:
-    """Put one step into a rollout buffer: its arrays' rows by name, e.g. ``values`` (E,).
-
-    ``RolloutBuffer.add``, which dictionaries of observations take, is several times slower.
-    """
-    if isinstance(rows["observations"], dict):
-        tensors = (th.from_numpy(rows[name]) for name in ("values", "log_probs"))
-        names = ("observations", "actions", "rewards", "episode_starts")
-        buffer.add(*(rows[name] for name in names), *tensors)
-        return
-    for name, row in rows.items():
-        into = getattr(buffer, name)[step]
-        into[...] = np.reshape(row, into.shape)
-    buffer.pos = step + 1
-    buffer.full = buffer.pos == buffer.buffer_size

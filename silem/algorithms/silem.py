@@ -1,6 +1,6 @@
 """SILEM: Algorithm 1 with its transform T, the affine one or the MLP of Table 1."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from silem.algorithms.gaifo import GAIfO, descend
 from silem.motion.demonstrations import Demonstrations
-from silem.util.errors import COUNT, FACTOR, RATE, WEIGHT, NumberKind, SilemError, choose
+from silem.util.errors import COUNT, FACTOR, WEIGHT, NumberKind, SilemError, choose
 
 L2_FORMS = ("deviation", "plain")
 MLP_HIDDEN_UNITS = 100  # Table 1: "1 hidden layer with 100 units"
@@ -47,7 +47,7 @@ class SILEM(GAIfO):
 
     _numbers: ClassVar[dict[str, NumberKind]] = GAIfO._numbers | {
         "transform_components": COUNT, "n_transform_updates": COUNT,
-        "transform_learning_rate": RATE, "transform_lr_decay": FACTOR,
+        "transform_learning_rate": WEIGHT, "transform_lr_decay": FACTOR,
         "transform_l2_scale": WEIGHT, "transform_l2_bias": WEIGHT,
     }  # fmt: skip
     _learns: ClassVar[dict[str, tuple[str, str]]] = GAIfO._learns | {
@@ -85,7 +85,8 @@ class SILEM(GAIfO):
 
         Returns the mean of its loss -log D(T(o)), without the L2 term, and the learning rate.
         """
-        iteration = self.num_timesteps // (self.n_steps * self.n_envs) - 1  # 0 for the first
+        adam = self.transform_optimizer.state[next(self.transform_net.parameters())]
+        iteration = int(adam.get("step", 0)) // self.n_transform_updates  # 0 for the first
         rate = self.transform_learning_rate * self.transform_lr_decay**iteration
         self.transform_optimizer.param_groups[0]["lr"] = rate
         losses = []
@@ -122,11 +123,10 @@ class SILEM(GAIfO):
         super()._setup_model()
         size, count = self.demonstrations.n_features, self.transform_components
         if count == 1:
-            transform: nn.Module = TRANSFORMS[self.transform](size)
+            transform = TRANSFORMS[self.transform](size)
         else:
-            transform = AffineEnsemble(
-                count, th.from_numpy(np.concatenate(self.demonstrations.features))
-            )
+            states = th.from_numpy(np.concatenate(self.demonstrations.features))
+            transform = AffineEnsemble(count, states)
         self.transform_net, rate = transform.to(self.device), self.transform_learning_rate
         self.transform_optimizer = th.optim.Adam(transform.parameters(), lr=rate)
 
@@ -207,14 +207,10 @@ class AffineEnsemble(AffineTransform):
         return self.shares @ values
 
 
-class MLPTransform(nn.Sequential):
-    """Table 1's ablation: f is a tanh MLP with one hidden layer of 100 units."""
-
-    def __init__(self, n_features: int) -> None:
-        super().__init__(*create_mlp(n_features, n_features, [MLP_HIDDEN_UNITS], nn.Tanh))
-
-
-TRANSFORMS = {"affine": AffineTransform, "mlp": MLPTransform}
+TRANSFORMS: dict[str, Callable[[int], nn.Module]] = {
+    "affine": AffineTransform,
+    "mlp": lambda size: nn.Sequential(*create_mlp(size, size, [MLP_HIDDEN_UNITS], nn.Tanh)),
+}
 """f of the sequential transform by name: one function, applied to every state of a window."""
 
 

@@ -77,11 +77,8 @@ def export_policy(policy: ActorCriticPolicy, path: Path, about: Mapping[str, str
     except (LookupError, ValueError):
         whole = False
     if not whole:
-        raise SilemError(
-            "only a multi-layer perceptron from a flat Box of observations, with one of the"
-            f" activations {', '.join(_ACTIVATIONS)}, can be exported; `save` keeps any policy, as"
-            " a pickle"
-        )
+        told = f"only an MLP from a flat Box, with {' or '.join(_ACTIVATIONS)}, can be exported"
+        raise SilemError(f"{told}; `save` keeps any policy, as a pickle")
     files.write_tensors(path, arrays, {**about, **described})
 
 

@@ -95,7 +95,8 @@ def get(name: str) -> Body:
         try:
             spec = gymnasium.spec(name)
         except gymnasium.error.Error as error:
-            raise SilemError(f"no body, and no Gymnasium environment {name!r}: {error}") from error
+            told = f"no body, and no Gymnasium environment {name!r} (one of yours needs --import)"
+            raise SilemError(f"{told}: {error}") from error
         if spec.max_episode_steps is None:
             raise SilemError(f"{name} has no limit of steps; evaluation needs episodes that end")
         return GymnasiumBody(name=name, max_steps=spec.max_episode_steps)

@@ -31,13 +31,12 @@ class Demonstrations:
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        shapes = {np.shape(array)[1:] for array in self.features}
+        object.__setattr__(self, "features", tuple(map(_float32, self.features)))
+        shapes = {array.shape[1:] for array in self.features}
         if [*map(len, shapes)] != [1] or shapes == {(0,)}:
             found = shapes or "none at all"
             raise SilemError(f"trajectories must all be (T + 1, F) with one F > 0, not {found}")
         for i, array in enumerate(self.features):
-            if array.dtype.kind != "f":
-                raise SilemError(f"trajectory {i} holds {array.dtype}, no floating-point numbers")
             if len(array) < 2:
                 raise SilemError(f"trajectory {i} is too short: {len(array)} of at least 2 states")
             if not np.isfinite(array).all():
@@ -95,26 +94,26 @@ class Demonstrations:
             given = f"one array {given.shape}; for one episode, [array]"
             raise SilemError(f"demonstrations are {given}; allowed: {wanted}")
         try:
-            return cls(tuple(_float32(array) for array in given))
+            return cls(tuple(given))
         except (TypeError, ValueError) as error:  # a SilemError is a ValueError
-            raise SilemError(
-                f"unusable demonstrations: {reason(error)}; allowed: {wanted}"
-            ) from error
+            told = f"unusable demonstrations: {reason(error)}"
+            raise SilemError(f"{told}; allowed: {wanted}") from error
 
     @classmethod
     def load(cls, source: Path | str) -> "Demonstrations":
-        """Read demonstrations by name ("HC0", "cmu_08_01") or from a file.
+        """Read demonstrations by name ("HC0", "cmu_08_01"), or from a file: what ends in ".npz".
 
         Raises SilemError: there is no such file, or it is none or damaged.
         """
-        path = file_of(source) if isinstance(source, str) and "/" not in source else Path(source)
+        named = isinstance(source, str) and not ("/" in source or source.endswith(".npz"))
+        path = file_of(str(source)) if named else Path(source)
         arrays = files.read_npz(path)
         try:
             if missing := set(_OWN) - arrays.keys():
                 raise SilemError(f"it is no demonstrations file: it lacks {sorted(missing)}")
             features, lengths, returns, body, run_id = (arrays.pop(name) for name in _OWN)
             whole = features.ndim == 2 and lengths.dtype.kind == "i"
-            parts = np.split(_float32(features), np.cumsum(lengths)[:-1]) if whole else []
+            parts = np.split(features, np.cumsum(lengths)[:-1]) if whole else []
             if not whole or [*map(len, parts)] != lengths.tolist():
                 raise SilemError("it is damaged: trajectory lengths do not add up")
             if not all(isinstance(text.tolist(), str) for text in (body, run_id)):
@@ -131,7 +130,7 @@ def _float32(array: Any) -> np.ndarray:
     if found.dtype.kind not in "fiu":
         raise SilemError(f"features are {found.dtype}; allowed: real numbers")
     with np.errstate(over="ignore"):  # what does not fit becomes infinite, and is refused
-        return found.astype(np.float32)
+        return found.astype(np.float32, copy=False)
 
 
 def expert_of(name: str) -> tuple[str, int | None]:
@@ -196,7 +195,7 @@ def is_published(name: str) -> bool:
         return False
     if (about := manifest().get(path.stem)) is not None:
         return bool(about.get("sha256") == files.sha256(path))
-    return not Demonstrations.load(name).expert_run_id
+    return not Demonstrations.load(path).expert_run_id
 
 
 def load_published(name: str) -> tuple[Demonstrations, str]:
@@ -206,11 +205,9 @@ def load_published(name: str) -> tuple[Demonstrations, str]:
     """
     path = file_of(name)
     if path.exists() and not is_published(name):
-        raise SilemError(
-            f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs); publish"
-            " it again, with `silem demonstrations` or `silem mocap`"
-        )
-    there = Demonstrations.load(name)
+        told = f"{path} is not the file that {MANIFEST} beside it describes (SHA-256 differs)"
+        raise SilemError(f"{told}; `silem demonstrations` or `silem mocap` publishes it again")
+    there = Demonstrations.load(path)
     if bodies.exists(path.stem) and there.body != path.stem:
         raise SilemError(f"{path} holds demonstrations of {there.body!r}, another body")
     return there, files.sha256(path)

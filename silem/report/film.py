@@ -13,6 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import imageio.v3 as imageio
 import mujoco
 import numpy as np
@@ -30,7 +31,7 @@ from silem.motion import demonstrator
 from silem.study.evaluate import Policy, RandomPolicy, load_policy
 from silem.study.runs import RunRecord
 from silem.util import files, seeding
-from silem.util.errors import BOUND, RATE, SilemError, choose
+from silem.util.errors import BOUND, RATE, SilemError, choose, reason
 
 Size = tuple[int, int]
 
@@ -89,11 +90,15 @@ def rollout(
     policy = policy or RandomPolicy(found)
     reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
     reseed(seeding.child_seed(seed, "video policy"))
-    made: Any = silem.make_vec(found, n_envs=1, seed=seeding.child_seed(seed, "video env"))
+    drawn: dict[str, Any] = {"render_mode": "rgb_array"} if found.engine == "gymnasium" else {}
+    made: Any = silem.make_vec(found, 1, seeding.child_seed(seed, "video env"), **drawn)
     with closing(made) as env:
         env.picture_size = size
         observations: Any = env.reset()
-        frames: list[Any] = [env.render()]
+        try:
+            frames: list[Any] = [env.render()]
+        except (gymnasium.error.Error, ValueError) as error:  # of environments that are not ours
+            raise SilemError(f"{found.name} gives no picture: {reason(error)}") from error
         steps = range(1, n_steps + 1)
         for step in tqdm(steps, f"filming {found.name}", unit="step", disable=not progress):
             actions, _ = policy.predict(observations, deterministic=False)

@@ -23,7 +23,7 @@ from silem.study import runs
 from silem.study.runs import POLICY, RunRecord
 from silem.study.training import unclipped
 from silem.util import seeding
-from silem.util.errors import SilemError
+from silem.util.errors import COUNT, SilemError
 
 EVALUATION_SEED = seeding.child_seed(0, "evaluation")
 """The seed of every evaluation, whatever the method and the trial: all meet the same starts."""
@@ -120,8 +120,7 @@ def episodes(
     are the environments' (see `silem.envs.make_vec`). Raises SilemError: the body is unknown, or
     `n_episodes` is below 1.
     """
-    if n_episodes < 1:
-        raise SilemError(f"episodes must be 1 or more, not {n_episodes}")
+    COUNT.check("n_episodes", n_episodes)
     n_envs = min(_MAX_ENVS, n_episodes)
     left = np.full(n_envs, n_episodes // n_envs)
     left[: n_episodes % n_envs] += 1
@@ -211,12 +210,11 @@ def demonstrate(
     name = body if name is None else name
     if record.config["method"] != "ppo":
         raise SilemError(f"{record.run_id} is no expert's run (its method is not ppo)")
-    if n_trajectories < 1:
-        raise SilemError(f"demonstrations need 1 trajectory or more, not {n_trajectories}")
+    COUNT.check("n_trajectories", n_trajectories)
     path = demos.file_of(name)
     with demos.publishing():
         if path.exists() and not force:
-            there = Demonstrations.load(name)
+            there = Demonstrations.load(path)
             n, whose = len(there.features), there.expert_run_id or "another expert"
             if whose != record.run_id or n != n_trajectories:
                 told = f"{path} holds {n} trajectories of {whose} already"
@@ -234,14 +232,12 @@ def demonstrate(
 def describe(name: str) -> str:
     """Say in one line what the manifest knows of demonstrations that an expert made."""
     about = demos.entry(name)
-    text = "{n_trajectories} trajectories of {expert_run_id}, return {return_mean:.0f} ± "
-    text += "{return_std:.0f}"
+    text = "{n_trajectories} trajectories of {expert_run_id}"
+    text += ", return {return_mean:.0f} ± {return_std:.0f}"
     if "pitch_rad" in about:
-        text += (
-            ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s, pitch"
-        )
-        text += " {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad, a joint at a limit {limit_share:.0%}"
-        text += " of the time"
+        text += ", worst {return_worst:.0f}, failed and kept: {n_failed}; {speed_m_s:.2f} m/s"
+        text += ", pitch {pitch_rad:.2f} ± {pitch_std_rad:.2f} rad"
+        text += ", a joint at a limit {limit_share:.0%} of the time"
     return text.format(**about)
 
 

@@ -232,7 +232,8 @@ def finished(config: RunConfig) -> RunRecord | None:
         if path.exists() and (now := files.sha256(path)) != then:
             raise SilemError(
                 f"{record.run_id} was made with other demonstrations (SHA-256 {then[:12]}) than"
-                f" {path} holds now ({now[:12]}); bring those back, or {instead_of(record.folder)}"
+                f" {path} holds now ({now[:12]}); bring those back, or"
+                f" {instead_of(record.folder, f'{config.command} ')}"
             )
     return record
 
@@ -247,20 +248,20 @@ def demonstrator(experts: Sequence[RunConfig]) -> RunRecord:
     found = [find(config.run_id) for config in experts]
     missing = [config for config, record in zip(experts, found, strict=True) if record is None]
     if missing:
-        raise SilemError(
+        told = (
             f"the demonstrator of {missing[0].body} is the best of {len(found)} experts, of which"
-            f" {len(missing)} are not finished; next: {missing[0].command}"
         )
+        raise SilemError(f"{told} {len(missing)} are not finished; next: {missing[0].command}")
     records = [record for record in found if record is not None]
     return max(records, key=lambda record: float(record.evaluation["return_mean"]))
 
 
-def instead_of(path: Path) -> str:
+def instead_of(path: Path, command: str = "") -> str:
     """Say how something else is made than what lies at a path: what is committed is kept."""
     root = paths.checkout()
     committed = [root / "data" / name for name in ("results", "demonstrations")] if root else []
     kept = any(path.is_relative_to(folder) for folder in committed)
-    return "set SILEM_DATA_DIR to another folder" if kept else "replace it with --force"
+    return "set SILEM_DATA_DIR to another folder" if kept else f"replace it with {command}--force"
 
 
 def is_finished(config: RunConfig) -> bool:
@@ -378,6 +379,7 @@ def run(
             f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r};"
             f" give it a name of its own, which begins with none of {', '.join(BUDGETS)}"
         )
+    shown = load_demonstrations(config)
     with stoppable(), files.lock(folder / LOCK):
         for place in {folder, _home(config)}:
             files.remove_leftovers(place)
@@ -387,7 +389,7 @@ def run(
         for name in (CHECKPOINT, RECORD, PROGRESS) if force else ():
             (folder / name).unlink(missing_ok=True)
         try:
-            return _make(config, folder, progress, until, starts)
+            return _make(config, shown, progress, until, starts)
         except KeyboardInterrupt as interrupt:
             kept = "its checkpoint is kept" if (folder / CHECKPOINT).exists() else "no checkpoint"
             why = f"{interrupt}: " if str(interrupt) else ""
@@ -399,7 +401,7 @@ def run(
             gc.collect()
 
 
-def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: float) -> RunRecord:
+def _make(config: RunConfig, shown: Any, progress: bool, until: float, most: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
@@ -408,7 +410,7 @@ def _make(config: RunConfig, folder: Path, progress: bool, until: float, most: f
     from silem.study.training import Checkpoint, make_env, make_model, task_options, train
 
     torch.set_num_threads(1)
-    source, (demonstrations, sha) = provenance(), load_demonstrations(config)
+    folder, source, (demonstrations, sha) = run_folder(config), provenance(), shown
     start = Checkpoint.load(folder / CHECKPOINT, config, sha)
     commit = source["git_commit"] or "unknown"
     start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
@@ -469,7 +471,8 @@ def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -
 def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
     """Return a run's demonstrations and their file's SHA-256; None and "" for no imitator.
 
-    Raises SilemError: they are missing (the message says how to make them) or not as published.
+    Raises SilemError: they are missing (the message says how to make them), too few, or not as
+    published.
     """
     name = config.demonstrations
     if not name:
@@ -477,11 +480,17 @@ def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
     path = demos.file_of(name)
     if not path.exists():
         check_made_by_an_expert(name)
-        raise SilemError(
-            f"there are no demonstrations of {name} ({path}); train its expert with `silem run"
-            f" --body {name} --method ppo`, then `silem demonstrations --body {name}`"
-        )
-    return demos.load_published(name)
+        from silem.study.studies import experts
+
+        budget = BUDGETS.get(config.budget.base_name, config.budget)
+        expert = experts(name, budget)[0].command
+        body = expert.partition(" --method")[0].removeprefix("silem run")
+        told = f"there are no demonstrations of {name} ({path}); train its expert with `{expert}`"
+        raise SilemError(f"{told}, then `silem demonstrations{body} --budget {budget.name}`")
+    there, sha = demos.load_published(name)
+    if (n := config.hyper.n_trajectories) > len(there.features):
+        raise SilemError(f"n_trajectories is {n}, and {path} holds {len(there.features)}")
+    return there, sha
 
 
 def check_made_by_an_expert(demonstrations: str) -> None:

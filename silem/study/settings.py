@@ -105,8 +105,8 @@ class HyperParameters:
     transform_lr_decay: float = _used_by(  # d
         _TRANSFORMED, _BEST["transform_lr_decay"], _ROW, kind=FACTOR
     )
-    disc_learning_rate: float = _used_by(IMITATORS, 1e-3)
-    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND)
+    disc_learning_rate: float = _used_by(IMITATORS, 1e-3, kind=WEIGHT)
+    transform_learning_rate: float = _used_by(_TRANSFORMED, 1e-5, _FOUND, kind=WEIGHT)
     disc_entropy_coef: float = _used_by(IMITATORS, 1e-3, _MEREL, kind=WEIGHT)
     gradient_penalty: float = _used_by(IMITATORS, 0.1, _FOUND, kind=WEIGHT)  # 0 switches it off
     transform_components: int = _used_by(("silem",), 1, optional=True)  # K, of an ensemble if > 1
@@ -177,10 +177,8 @@ class Budget:
             if name != "name":
                 COUNT.check(f"budget {name}", count)
         if self.steps_per_iteration % self.n_envs:
-            raise SilemError(
-                f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration do not"
-                f" divide among {self.n_envs} environments"
-            )
+            told = f"budget {self.name!r}: {self.steps_per_iteration} steps per iteration"
+            raise SilemError(f"{told} do not divide among {self.n_envs} environments")
 
     @property
     def n_steps(self) -> int:
@@ -317,7 +315,7 @@ def demonstrations(body: str, method: str, wanted: str | None) -> str:
         if not bodies.exists(expert):
             choose("demonstrations", expert, bodies.names())
     if not wanted and family not in FAMILIES:
-        raise SilemError(f"{method} on {body} needs demonstrations: a name or an .npz file")
+        raise SilemError(f"{method} on {body} needs demonstrations: a name (see `silem run -h`)")
     return wanted or original
 
 

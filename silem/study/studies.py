@@ -68,11 +68,6 @@ def _define(
     STUDIES[name] = Study(tuple(cells), seeds, about)
 
 
-def _own(bodies: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Return the groups of imitators of each body's own expert."""
-    return [("silem-minus-own", body, body) for body in bodies]
-
-
 _ANTS = tuple(f"Ant{i}" for i in range(7))
 _CHEETAHS, _HUMANOIDS = ("HC0", "HC1", "HC2"), ("Humanoid", "HumanoidR", "Atlas")
 BOTH = ("silem", "silem-minus")
@@ -82,17 +77,19 @@ BOTH = ("silem", "silem-minus")
 # bodies, for every method alike.
 _LARGER_STEPS = tuple((name, paper.common()[name]) for name in ("learning_rate", "clip_range"))
 _NO_PENALTY = (("gradient_penalty", 0.0),)
+_ENTROPY = ("disc_entropy_coef", HyperParameters().disc_entropy_coef)  # of D; SILEM's own
 
 _define(
     "halfcheetah",
     "Figure 2b and Table 1",
     ("ppo", _CHEETAHS),
     (BOTH, _CHEETAHS, "HC0"),
-    *_own(_CHEETAHS),
+    *(("silem-minus-own", body, body) for body in _CHEETAHS),
     ("silem-mlp", "HC0", "HC0"),
     ("random", _CHEETAHS),
 )
-_define("ant", "Figure 2d", ("ppo", _ANTS), (BOTH, _ANTS, "Ant0"), *_own(_ANTS), ("random", _ANTS))
+_OF_ANTS = (("silem-minus-own", body, body) for body in _ANTS)
+_define("ant", "Figure 2d", ("ppo", _ANTS), (BOTH, _ANTS, "Ant0"), *_OF_ANTS, ("random", _ANTS))
 _define(
     "ant-absorbing",
     "the shortest and the longest Ant, with what follows an early end judged too",
@@ -188,6 +185,27 @@ _define(
     seeds=TRIAL_SEEDS[:1],
 )
 
+# Two questions that "halfcheetah" leaves open. Its claims' rules stay what they are; these runs
+# stand beside them. The supplement's best combinations of SILEM and SILEM-minus differ in more than
+# the transform: what is SILEM-minus with SILEM's own? And T's rate was searched for the affine map,
+# which starts as the identity: what does the MLP, which does not, do at larger ones?
+_USED = HyperParameters.used_by("silem-minus")
+_define(
+    "same-settings",
+    "SILEM-minus with the combination of SILEM's own cell",
+    *(
+        ("silem-minus", body, "HC0", (*((n, v) for n, v in best.items() if n in _USED), _ENTROPY))
+        for body in ("HC1", "HC2")
+        for best, _ in [paper.best_combination(body, "silem", "HC0")]
+    ),
+)
+_define(
+    "mlp-rates",
+    "Table 1's MLP with larger rates of T",
+    *(("silem-mlp", "HC0", "HC0", (("transform_learning_rate", r),)) for r in (1e-4, 1e-3)),
+    seeds=TRIAL_SEEDS[:3],
+)
+
 # ---------------------------------------------------------------- beyond the paper
 
 # What a study plans here is what the paper's own studies lack: the pages read both. Bodies that a
@@ -211,7 +229,7 @@ for _name, _about, _new, _original, _others in (
         _name,
         _about,
         ("ppo", _new),
-        *_own(_new),
+        *(("silem-minus-own", body, body) for body in _new),
         *(((*BOTH, "tpil"), body, _original) for body in _new),
         ("tpil", _others, _original),
         seeds=TRIAL_SEEDS[:2],
@@ -308,13 +326,13 @@ def study_of(name: str) -> Study:
     found = STUDIES[choose("study", study, STUDIES)]
     if not searched:
         return found
-    known = {f"{cell.body}/{cell.method}": cell for cell in found.cells}
-    cell = known[choose(f"search in {study}", "/".join(searched), known)]
-    source = cell.demonstrations or ""
-    best, table = paper.best_combination(cell.body, cell.method, source)
-    if table is None or not table.grid:
-        raise SilemError(f"the supplement has searched no grid for {cell.method} on {cell.body}")
-    used, printed = HyperParameters.used_by(cell.method), paper.grid_values(table.grid)
+    known = {}
+    for cell in found.cells:
+        best, table = paper.best_combination(cell.body, cell.method, cell.demonstrations or "")
+        if table and table.grid:
+            known[f"{cell.body}/{cell.method}"] = cell, best, table.grid
+    cell, best, searched_grid = known[choose(f"search in {study}", "/".join(searched), known)]
+    used, printed = HyperParameters.used_by(cell.method), paper.grid_values(searched_grid)
     grid = {paper.symbols()[symbol].parameter: values for symbol, values in printed.items()}
     grid = {name: values for name, values in grid.items() if name in used}
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
@@ -325,7 +343,7 @@ def study_of(name: str) -> Study:
         dataclasses.replace(cell, study=label, overrides=tuple((given | point).items()))
         for point in points
     )
-    return Study(tuple(cells), SEARCH_SEEDS, f"the supplement's grid {table.grid} on {name}")
+    return Study(tuple(cells), SEARCH_SEEDS, f"the supplement's grid {searched_grid} on {name}")
 
 
 def experts(body: str, budget: str | Budget, trial: int | None = None) -> list[RunConfig]:

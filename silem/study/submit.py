@@ -95,10 +95,8 @@ def submit(engine: str, words: Sequence[str], options: Options) -> str:
     try:
         done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise SilemError(
-            f"there is no {command[0]} here ({reason(error)}); submit where there is one, or see"
-            " what would be submitted with --print"
-        ) from error
+        told = f"there is no {command[0]} here ({reason(error)}); submit where there is one"
+        raise SilemError(f"{told}, or see what would be submitted with --print") from error
     if done.returncode:
         raise SilemError(f"{command[0]} refuses: {reason(ValueError(done.stderr))}")
     return done.stdout.strip()

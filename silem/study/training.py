@@ -33,6 +33,7 @@ from silem.util.errors import SilemError, reason
 _PROGRESS_EVERY_S = 2.0
 _MODEL, _CURVE, _SHA256 = "model/", "curve", "sha256"
 _TEXTS = ("run_id", "demonstrations_sha256")  # of a checkpoint's metadata; the others are JSON
+_OF_RUNS = ("clip_actions", "n_trajectories", "starts")  # `make_env` and `make_model` see to them
 _ALGORITHMS = {"PPO": PPO, "GAIfO": GAIfO, "SILEM": SILEM, "TPIL": TPIL}
 
 
@@ -104,7 +105,7 @@ def arguments(config: RunConfig) -> dict[str, Any]:
         verbose=0,
     )
     # What an expert has too says how PPO learns; the others are the imitator's, by the same names.
-    others = {*hyper.used_by("ppo"), "n_trajectories"}
+    others = {*hyper.used_by("ppo"), *_OF_RUNS}
     own = {n: getattr(hyper, n) for n in hyper.used_by(config.method) if n not in others}
     return own | ({"transform": config.transform} if config.transform else {}) | ppo
 
@@ -119,14 +120,19 @@ def settings(
 ) -> dict[str, Any]:
     """Return the settings of a cell, by `RunConfig.create`, as the arguments of its algorithm.
 
-    ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` is what a run of that cell
-    trains: the paper's best combination where it prints one, this project's choice elsewhere.
+    ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` learns as a run of that
+    cell does: by the paper's best combination where it prints one, this project's choice elsewhere.
+    A run adds the first ``n_trajectories`` of the demonstrations, the budget's environments with
+    what the body, ``clip_actions`` and ``starts`` say of them, and new episodes at checkpoints.
 
-    Raises SilemError: As there; or the method learns nothing.
+    Raises SilemError: As there; the method learns nothing; or only a run takes one of ``hyper``.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
         raise SilemError(f"method {method!r} learns nothing, so it has no settings")
+    if runs_own := hyper.keys() & {"study", *_OF_RUNS, *config.parameters}:
+        told = ", ".join(sorted(runs_own))
+        raise SilemError(f"{told}: no argument of the class; a run's `RunConfig.create` takes it")
     return arguments(config)
 
 
@@ -179,10 +185,8 @@ class Checkpoint:
         """Write the checkpoint; a crash, or SilemError if it diverged, leaves the one before."""
         for name, array in self.model.items():
             if not np.isfinite(array).all():
-                raise SilemError(
-                    f"{self.run_id} diverged before iteration {self.iteration}: {name} holds NaN"
-                    " or infinity; the checkpoint before is kept"
-                )
+                why = f"{self.run_id} diverged before iteration {self.iteration}: {name} holds NaN"
+                raise SilemError(f"{why} or infinity; the checkpoint before is kept")
         arrays = {_MODEL + name: array for name, array in self.model.items()}
         arrays[_CURVE] = self.curve
         told = {n: v for n, v in vars(self).items() if n not in ("curve", "model", "began")}
@@ -217,10 +221,8 @@ class Checkpoint:
                 raise SilemError(f"{path} is of another version: its curve is another")
             return found
         except (KeyError, TypeError, ValueError) as error:  # a SilemError is one
-            raise SilemError(
-                f"damaged checkpoint: {reason(error)}; move it away, or run with --force, to start"
-                " this run anew"
-            ) from error
+            advice = "move it away, or run with --force, to start this run anew"
+            raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:

@@ -213,7 +213,8 @@ def environment() -> dict[str, str]:
     """Return what a loop elsewhere needs of this process's environment."""
     moved = {"OMP_NUM_THREADS": "1", "SILEM_DATA_DIR": str(paths.data_dir())}
     if root := paths.checkout():
-        moved["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
+        there = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        moved["PYTHONPATH"] = os.pathsep.join(filter(None, dict.fromkeys([str(root), *there])))
     return moved
 
 

@@ -18,9 +18,8 @@ def choose(kind: str, value: str, allowed: Iterable[str]) -> str:
     """
     names = list(allowed)
     if value not in names:
-        raise SilemError(
-            f"unknown {kind} {clipped(repr(value))}; allowed: {', '.join(names) or 'none'}"
-        )
+        listed = ", ".join(names) or "none"
+        raise SilemError(f"unknown {kind} {clipped(repr(value))}; allowed: {listed}")
     return value
 
 
@@ -32,10 +31,8 @@ def check_name(kind: str, value: Any, longest: int = 64) -> str:
     """
     allowed = rf"[A-Za-z0-9][A-Za-z0-9._-]{{0,{longest - 1}}}"
     if not isinstance(value, str) or not re.fullmatch(allowed, value):
-        raise SilemError(
-            f"{kind} must be a name of at most {longest} letters, digits, '.', '_' and '-', and"
-            f" begin with a letter or digit, not {clipped(repr(value))}"
-        )
+        rule = f"at most {longest} letters, digits, '.', '_' and '-', a letter or digit first"
+        raise SilemError(f"{kind} must be a name of {rule}, not {clipped(repr(value))}")
     return value
 
 
@@ -78,4 +75,4 @@ NUMBER = NumberKind("a finite number", lambda x: abs(x) <= _HIGHEST)
 RATE = NumberKind("a finite number above 0", lambda x: 0 < x <= _HIGHEST)
 BOUND = NumberKind("a number above 0", lambda x: x > 0)
 WEIGHT = NumberKind("a finite number from 0", lambda x: 0 <= x <= _HIGHEST)
-FACTOR = NumberKind("a number above 0 and at most 1", lambda x: 0 < x <= 1)
+FACTOR = NumberKind("a number from 0 to 1", lambda x: 0 <= x <= 1)

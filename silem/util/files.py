@@ -237,10 +237,8 @@ def check_locks(folder: Path) -> None:
     """Raise SilemError where the file system of a folder lets a lock be taken twice."""
     path = Path(folder) / "locks.lock"
     with lock(path, wait_s=60.0), suppress(Held), lock(path, wait_s=0.0):
-        raise SilemError(
-            f"the file system of {folder} does not honour locks, so that two workers could make"
-            " one run; set SILEM_DATA_DIR to one that does"
-        )
+        told = f"the file system of {folder} does not honour locks: two workers could make one run"
+        raise SilemError(f"{told}; set SILEM_DATA_DIR to one that does")
 
 
 def _lock_now(descriptor: int, kind: int) -> bool:

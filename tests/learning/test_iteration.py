@@ -101,7 +101,7 @@ def test_minibatches_are_one_shuffled_pass(which: str, monkeypatch) -> None:
     assert np.mean(np.abs(np.diff(passes[0])) > 1) > 0.9
 
 
-def test_transforms_rate_decays_from_the_first_iteration_on() -> None:
+def test_transforms_rate_decays_from_the_first_iteration_on(tmp_path) -> None:
     model = make_model(transform_learning_rate=0.01, transform_lr_decay=0.5)
     rates = []
     for iteration in range(3):
@@ -109,6 +109,9 @@ def test_transforms_rate_decays_from_the_first_iteration_on() -> None:
         rates.append(model.iteration_stats["transform_learning_rate"])
         assert model.transform_optimizer.param_groups[0]["lr"] == rates[-1]
     assert rates == [0.01, 0.005, 0.0025]
+    model.save(tmp_path / "model.zip")  # T has its own count, whatever a rollout's size is then
+    model = SILEM.load(tmp_path / "model.zip", make_vec_env(PointMass, 3, seed=0)).learn(180)
+    assert model.iteration_stats["transform_learning_rate"] == 0.00125
 
 
 def test_gradient_penalty_is_taken_between_the_windows() -> None:

@@ -13,15 +13,18 @@ import stable_baselines3 as sb3
 import torch as th
 from gymnasium import spaces
 from point_mass import PointMass, expert_of_point_mass
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 from test_windows import Counter, CounterWithFeatures
 
 import silem
 from silem import SILEM, TPIL, GAIfO, SilemError
 from silem.algorithms.gaifo import SurvivalWarning
+from silem.algorithms.networks import RunningNormalizer
 
 DEMOS = expert_of_point_mass()
 SMALL = dict(n_steps=60, batch_size=60, seed=0)
@@ -227,6 +230,55 @@ def test_twin_takes_only_what_it_reproduces(
     model = silem.PPO("MlpPolicy", env, **settings)
     assert (model._fast is not None) == twin
     compare(model, 2)
+
+
+def test_the_policys_class_is_the_same_as_its_name() -> None:
+    made = silem.PPO(sb3.ppo.MlpPolicy, make_vec_env("Pendulum-v1", 2, seed=1), **SMALL)
+    for name, array in made.learn(120).state_arrays().items():
+        np.testing.assert_array_equal(array, new().learn(120).state_arrays()[name])
+
+
+class Counts(RolloutBuffer):
+    added = got = 0
+
+    def add(self, *args, **kwargs) -> None:
+        self.added += 1
+        super().add(*args, **kwargs)
+
+    def get(self, *args, **kwargs):
+        self.got += 1
+        return super().get(*args, **kwargs)
+
+
+def test_a_buffer_of_ones_own_is_used() -> None:
+    env = make_vec_env("Pendulum-v1", 2, seed=1)
+    model = silem.PPO("MlpPolicy", env, rollout_buffer_class=Counts, **SMALL)
+    compare(model)
+    assert (model.rollout_buffer.added, model.rollout_buffer.got) == (60, model.n_epochs)
+
+
+def drawn(seed: int | None = None, reseeded: int | None = None) -> list[np.ndarray]:
+    """The first iteration's actions, and what D's batches would be drawn by."""
+    model = point_mass(seed=seed)
+    if reseeded is not None:
+        model.set_random_seed(reseeded)
+    expert = th.randint(10**9, (3,), generator=model._torch_rng)
+    model.learn(120)
+    return [model.rollout_buffer.actions, expert.numpy()]
+
+
+def test_seeds_reach_every_stream() -> None:
+    """Also those given later, and torch's where none is, as in stable-baselines3."""
+    set_random_seed(5)
+    first, second = drawn(), drawn()
+    set_random_seed(5)
+    again = drawn()
+    for a, b, c in zip(first, again, second, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert not np.array_equal(a, c)
+    for a, b, c in zip(*(drawn(0, s) for s in (3, 3, 4)), strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert not np.array_equal(a, c)
 
 
 def windows_are_whole(windows: np.ndarray) -> bool:
@@ -479,14 +531,21 @@ def test_load_refuses_what_does_not_fit(arguments: dict, message: str, tmp_path)
         SILEM.load(tmp_path / "model.zip", **arguments)
 
 
+@pytest.mark.parametrize(("saved", "read"), [(SILEM, GAIfO), (GAIfO, SILEM), (TPIL, silem.PPO)])
+def test_load_says_that_another_class_saved_a_file(saved: type, read: type, tmp_path) -> None:
+    point_mass(saved).save(tmp_path / "model.zip")
+    with pytest.raises(SilemError, match=f"another class than {read.__name__} saved it"):
+        read.load(tmp_path / "model.zip")
+
+
 WRONG_NUMBERS = [
     ("n_disc_updates", 0), ("n_transform_updates", 0), ("n_transform_updates", 2.0),
     ("window", 0), ("window", 2.5), ("window", True), ("window", "4"), ("window", None),
-    ("disc_learning_rate", 0.0), ("disc_learning_rate", -1e-3), ("disc_learning_rate", np.nan),
-    ("transform_learning_rate", -1e-4), ("transform_lr_decay", 0.0), ("transform_lr_decay", 1.1),
+    ("disc_learning_rate", -1e-3), ("disc_learning_rate", np.nan),
+    ("transform_learning_rate", -1e-4), ("target_kl", len), ("transform_lr_decay", 1.1),
     ("transform_lr_decay", -0.5), ("gradient_penalty", -1.0), ("gradient_penalty", np.inf),
     ("disc_entropy_coef", -1e-3), ("transform_l2_scale", -1.0), ("transform_l2_bias", np.nan),
-    ("n_steps", 0), ("n_epochs", 0), ("batch_size", -1), ("gamma", 0.0), ("gamma", 1.5),
+    ("n_steps", 0), ("n_epochs", 0), ("batch_size", -1), ("gamma", -0.1), ("gamma", 1.5),
     ("gae_lambda", -0.1), ("learning_rate", -1.0), ("ent_coef", -0.1), ("max_grad_norm", 0.0),
     ("learning_rate", np.inf), ("transform_learning_rate", np.inf), ("clip_range", -0.2),
     ("clip_range", np.nan), ("clip_range_vf", -1.0), ("target_kl", -1.0), ("seed", -1),
@@ -513,11 +572,54 @@ def test_numbers_that_are_out_of_range_are_refused(name: str, value: object) -> 
         (dict(n_disc_updates=121), "n_disc_updates is 121; a rollout has 120 windows"),
         (dict(n_transform_updates=121), "n_transform_updates is 121"),
         (dict(absorbing_states=True, gamma=1.0), "gamma below 1"),
+        (dict(gradient_penality=0.1), "argument of SILEM 'gradient_penality'; .*gradient_penalty,"),
     ],
 )
 def test_other_settings_that_make_no_sense_are_refused(settings: dict, message: str) -> None:
     with pytest.raises(SilemError, match=message):
         point_mass(SILEM, **settings)
+
+
+@pytest.mark.parametrize(
+    ("body", "override"),
+    [
+        ("HC2", dict(clip_actions=False)),
+        ("HC2", dict(n_trajectories=3)),
+        ("HC2", dict(study="a")),
+        ("Humanoid", dict(starts="demonstration")),
+        ("Atlas", dict(ankle_range_rad=0.3)),
+    ],
+)
+def test_settings_refuse_what_no_argument_takes(body: str, override: dict) -> None:
+    assert silem.settings(body, gamma=0.5)["gamma"] == 0.5
+    with pytest.raises(SilemError, match=f"{next(iter(override))}: no argument of the class"):
+        silem.settings(body, **override)
+
+
+def test_windows_of_double_precision_are_judged() -> None:
+    shown = [np.zeros((60, 2))]
+    model = GAIfO("MlpPolicy", make_vec_env(PointMass, 1), silem.Demonstrations(shown), **SMALL)
+    windows = model.learn(60)._windows[:, 0]
+    scores = (model.score_windows(windows.astype(kind)) for kind in (np.float32, np.float64))
+    np.testing.assert_array_equal(*scores)
+
+
+def test_moments_take_batches_to_where_they_are() -> None:
+    moments = RunningNormalizer(BOX).to("meta")
+    moments.update(np.zeros((5, 3)))
+    assert moments.mean.device.type == "meta"
+
+
+class Looks(BaseCallback):
+    def _on_step(self) -> bool:
+        self.seen = self.model._last_obs
+        return True
+
+
+def test_callbacks_see_the_last_observation() -> None:
+    callback = Looks()
+    model = new().learn(120, callback=callback)
+    np.testing.assert_array_equal(callback.seen, model.rollout_buffer.observations[-1])
 
 
 @pytest.mark.parametrize("demonstrations", [DEMOS[0], "HC0", 3, [["a"]], [np.zeros(3)], {1: 2}])
@@ -533,6 +635,15 @@ def test_numbers_of_numpy_and_schedules_are_taken() -> None:
     )  # fmt: skip
     model.learn(240)
     assert model._windows.shape[2] == 3
+
+
+def test_zero_rates_freeze_and_zero_factors_are_taken() -> None:
+    rates = dict(disc_learning_rate=0, transform_learning_rate=0, transform_lr_decay=0)
+    model = point_mass(SILEM, gamma=0, gae_lambda=0.0, **rates)
+    before = model.state_arrays()
+    for name, array in model.learn(120).state_arrays().items():
+        still = ".adam" in name or name.startswith("policy")
+        assert still or np.array_equal(array, before[name])
 
 
 class Corridor(gym.Env):
@@ -621,9 +732,15 @@ def test_transform_leaves_the_absorbing_state_alone() -> None:
 def test_only_demonstrations_that_end_get_absorbing_states() -> None:
     demos = [*STRAIGHT[:2], np.zeros((9, 1))]
     env = make_vec_env(Corridor, 1, seed=0)
-    model = GAIfO("MlpPolicy", env, demos, window=2, absorbing_states=[True, False, False], seed=0)
-    assert len(model._expert_windows) == 5 + 5 + 8 + 2
-    assert (model._expert_windows[..., -1] == 1).any(dim=1).sum() == 2
+    for marks in (
+        [True, False, False],
+        np.array([True, False, False]),
+        [np.bool_(1), False, False],
+    ):
+        model = GAIfO("MlpPolicy", env, demos, window=2, absorbing_states=marks)
+        assert len(model._expert_windows) == 5 + 5 + 8 + 2
+        assert (model._expert_windows[..., -1] == 1).any(dim=1).sum() == 2
+    assert not GAIfO("MlpPolicy", env, demos, absorbing_states=np.bool_(False))._absorbing
 
 
 def test_endings_are_warned_of_once_and_time_limits_not() -> None:

@@ -66,6 +66,18 @@ def test_features_of_ones_own_are_compared_and_the_observation_is_acted_on(
     assert evaluate(model, name, 2, model=model).disc_reward_mean > 0
 
 
+def test_a_record_of_a_modules_environment_is_told_to_import_it(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
+    pendulum = gymnasium.spec("Pendulum-v1").entry_point
+    gymnasium.register("Mine-v0", entry_point=pendulum, max_episode_steps=200)
+    record = run(RunConfig.create("Mine-v0", "random"), progress=False)
+    assert verify.verify(record.folder).outcome == verify.EXACT
+    gymnasium.envs.registration.registry.pop("Mine-v0")
+    assert "--import" in verify.verify(record.folder).why
+
+
 def test_random_actions_fit_the_environment(data: Path) -> None:
     assert bodies.get("Pendulum-v1").action_size == 1
     assert run(RunConfig.create("Pendulum-v1", "random"), progress=False).evaluation["returns"]

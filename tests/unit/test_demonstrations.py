@@ -93,6 +93,22 @@ def test_no_damage_of_a_demonstrations_file_is_taken(
         Demonstrations.load(path)
 
 
+def test_names_and_paths_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SILEM_DATA_DIR", "data")
+    Demonstrations([FEATURES.astype(np.float64)]).save("mine.npz")  # in double precision
+    assert Demonstrations.load("mine.npz").features[0].dtype == np.float32
+    demos.publish("mine", Demonstrations((FEATURES + 1,)))
+    for source, plus in (
+        ("mine.npz", 0),
+        ("./mine.npz", 0),
+        ("mine", 1),
+        ("data/demonstrations/mine.npz", 1),
+    ):
+        np.testing.assert_array_equal(Demonstrations.load(source).features[0], FEATURES + plus)
+    np.testing.assert_array_equal(demos.load_published("mine")[0].features[0], FEATURES + 1)
+
+
 @pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "", "x" * 300, "a\0b"])
 def test_demonstrations_names_stay_in_their_folder(name: str) -> None:
     with pytest.raises(SilemError, match="demonstrations must be a name"):

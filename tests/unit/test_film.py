@@ -7,7 +7,9 @@ import dataclasses
 import subprocess
 from contextlib import closing
 from pathlib import Path
+from typing import ClassVar
 
+import gymnasium
 import imageio_ffmpeg
 import numpy as np
 import pytest
@@ -165,6 +167,41 @@ def test_rollout_plays_at_real_speed_and_depends_on_its_seed_alone() -> None:
     assert (clip.frames[1:] != clip.frames[:-1]).any(axis=(1, 2, 3)).all()
     assert np.array_equal(clip.frames, again.frames)
     assert not np.array_equal(clip.frames, other.frames)
+
+
+class Painted(gymnasium.Env):
+    """Draws a grey that is lighter with each step, or nothing."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+    observation_space = action_space = gymnasium.spaces.Box(-1, 1, (2,))
+
+    def __init__(self, render_mode: str | None = None, paints: bool = True) -> None:
+        self.render_mode, self.paints = render_mode, paints
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action: np.ndarray) -> tuple:
+        self.steps += 1
+        return np.zeros(2, np.float32), 0.0, False, False, {}
+
+    def render(self) -> np.ndarray | None:
+        if not self.paints:
+            raise gymnasium.error.DependencyNotInstalled("pygame is not installed")
+        return np.full((12, 16, 3), self.steps, np.uint8)
+
+
+def test_any_environment_that_draws_is_filmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
+    for name, paints in (("Painted-v0", True), ("Blank-v0", False)):
+        options = {"paints": paints}
+        gymnasium.register(name, entry_point=Painted, max_episode_steps=30, kwargs=options)
+    frames = rollout("Painted-v0", 0.2).frames
+    assert frames[:, 0, 0, 0].tolist() == list(range(0, 2 * len(frames), 2))
+    with pytest.raises(SilemError, match=r"Blank-v0 gives no picture: pygame is not installed"):
+        rollout("Blank-v0", 0.2)
 
 
 def test_rollout_samples_actions_and_restarts_the_policy() -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import gc
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from silem import bodies
+from silem import bodies, cli
 from silem.motion import demonstrations
 from silem.motion.demonstrations import Demonstrations
 from silem.study import runs, settings, training
@@ -288,7 +289,7 @@ def test_other_demonstrations_are_noticed(data: Path, monkeypatch: pytest.Monkey
         runs.run(config, progress=False)
     with monkeypatch.context() as patch:
         patch.setattr(paths, "checkout", lambda: data.parent)
-        with pytest.raises(SilemError, match="replace it with --force"):
+        with pytest.raises(SilemError, match=f"replace it with {config.command} --force"):
             runs.run(config, progress=False)  # nothing that is committed
         shutil.copytree(record.folder, data / "results" / "halfcheetah" / config.run_id)
         with pytest.raises(SilemError, match="or set SILEM_DATA_DIR to another folder"):
@@ -319,6 +320,20 @@ def test_unusable_demonstrations_stop_a_run_before_it_starts(data: Path) -> None
     with pytest.raises(SilemError, match=r"no demonstrations of HC0.*silem run"):
         runs.run(small("silem"), progress=False)
     assert runs.state(small("silem")) == "missing"
+
+
+def test_what_stops_a_run_beforehand_leaves_nothing_and_names_what_helps(data: Path) -> None:
+    config = RunConfig.create("HC1", "silem", "HC0", n_trajectories=3)
+    with pytest.raises(SilemError, match=r"n_trajectories is 3, and .*HC0\.npz holds 2"):
+        runs.run(config, progress=False)
+    demonstrations.file_of("HC0").unlink()
+    with pytest.raises(SilemError, match="no demonstrations of HC0") as error:
+        runs.run(config, progress=False)
+    assert not paths.runs_dir().exists()
+    for command in re.findall("`silem (.*?)`", str(error.value)):
+        fewer = ["--trajectories", "1"] if "demonstrations" in command else []
+        assert cli.main([*command.split(), *fewer, "--quiet"]) == cli.OK
+    assert demonstrations.entry("HC0")["n_trajectories"] == 1
 
 
 def test_evidence_is_published_and_found_without_the_working_files(

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from silem.cli import main
-from silem.study import runs
+from silem.study import runs, work
 from silem.study.runs import CHECKPOINT, RECORD
 from silem.study.submit import ENGINES, Options, submission, submit
 from silem.util import files, paths
@@ -110,6 +110,13 @@ def test_what_htcondor_is_given() -> None:
     assert f"export SILEM_DATA_DIR={paths.data_dir()}" in setup
     asked = ["exec", sys.executable, "-m", "silem", "work", "halfcheetah"]
     assert shlex.split(loop)[:6] == asked
+
+
+def test_what_a_loop_elsewhere_finds_its_modules_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    root = str(paths.REPO)
+    for there, then in (("", root), (root, root), (f"/a:{root}:/b", f"{root}:/a:/b")):
+        monkeypatch.setenv("PYTHONPATH", there)
+        assert work.environment()["PYTHONPATH"] == then
 
 
 def test_no_scheduler_here_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

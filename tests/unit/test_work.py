@@ -137,8 +137,11 @@ def test_a_search_runs_the_supplements_grid_its_best_first() -> None:
     assert {c.hyper.n_epochs for c in sample[:8]} == {5, 10}
     assert {c.hyper.n_trajectories for c in sample[:8]} == {10, 20}
     for none in ("halfcheetah/HC0/ppo", "humanoids/Atlas/random"):
-        with pytest.raises(SilemError, match="has searched no grid"):
+        with pytest.raises(SilemError, match="unknown search in ") as error:
             study_configs(none, "quick")
+        told = str(error.value).partition("allowed: ")[2]
+        for cell in told.split(", "):  # each has a grid
+            assert study_configs(f"{none.partition('/')[0]}/{cell}", "quick", 1, 1)
     with pytest.raises(SilemError, match="unknown search in halfcheetah 'HC9/silem'"):
         study_configs("halfcheetah/HC9/silem", "quick")
 
