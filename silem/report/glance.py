@@ -44,7 +44,6 @@ def blocks(root: str = "") -> dict[str, str]:
     values["unpenalised_upright"] = walking.without_penalty(humanoid, "upright")
     values["unpenalised_returns"] = walking.without_penalty(runner, "return_mean")
     values["tables"] = "\n\n".join(map(_matrix, frames.values()))
-    values["empty_slots"] = "; empty slots are runs not made yet" * bool(runner.attrs["missing"])
     values |= _behind(list(frames.values()))
     values |= {"walkers": ", ".join(results.body_names(humanoid)), "walks": _walks(humanoid)}
     values |= {"speed": DEMONSTRATOR_SPEED_M_S, "filmed": BODIES["Humanoid"]}

@@ -205,7 +205,6 @@ def need_runs(frame: pd.DataFrame, what: str) -> None:
     """
     if not frame.attrs.get("n_own", len(frame)):
         words = f"No run of {what} is finished; {len(frame.attrs['missing'])} are planned."
-        words += " Figures, numbers and verdicts stand here from the first one on."
         display(HTML(f'<div class="admonition note {NO_RUNS}"><p>{html.escape(words)}</p></div>'))
 
 
