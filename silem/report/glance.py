@@ -45,8 +45,7 @@ def blocks(root: str = "") -> dict[str, str]:
     values["unpenalised_returns"] = walking.without_penalty(runner, "return_mean")
     values["tables"] = "\n\n".join(map(_matrix, frames.values()))
     values |= _behind(list(frames.values()))
-    values |= {"walkers": ", ".join(results.body_names(humanoid)), "walks": _walks(humanoid)}
-    values |= {"speed": DEMONSTRATOR_SPEED_M_S, "filmed": BODIES["Humanoid"]}
+    values |= {"walks": _walks(humanoid), "man": DEMONSTRATOR_SPEED_M_S, "run": BODIES["Humanoid"]}
     return {name: text.strip().format(**values) for name, text in _TEXTS.items()}
 
 

@@ -203,8 +203,9 @@ def need_runs(frame: pd.DataFrame, what: str) -> None:
 
     The book leaves out the cells below that have the tag ``with-runs``, up to the next that asks.
     """
-    if not frame.attrs.get("n_own", len(frame)):
-        words = f"No run of {what} is finished; {len(frame.attrs['missing'])} are planned."
+    made, planned = frame.attrs.get("own", (len(frame), len(frame.attrs["missing"])))
+    if not made:
+        words = f"No run of {what} is finished; {planned} are planned."
         display(HTML(f'<div class="admonition note {NO_RUNS}"><p>{html.escape(words)}</p></div>'))
 
 

@@ -99,7 +99,7 @@ def test_hours_are_processor_time_where_it_was_counted(
 
 def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
     caption = glance.blocks()["film"]
-    assert "on Humanoid, HumanoidR, Atlas, with the means of all: SILEM 1 of 1 (" in caption
+    assert "on the humanoids, with the means of all: SILEM 1 of 1 (" in caption
     assert "m/s, return 840); SILEM⁻ no run" in caption and BODIES["Humanoid"] in caption
 
 

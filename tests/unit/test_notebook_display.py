@@ -36,9 +36,9 @@ def test_a_banner_says_that_a_study_has_no_run(monkeypatch: pytest.MonkeyPatch) 
     frame.attrs = {"missing": [{}] * 7}
     notebook.need_runs(frame, "the ladder")
     assert not shown
-    frame.attrs["n_own"] = 0  # what another study made does not count
+    frame.attrs["own"] = 0, 3  # what another study made and plans does not count
     notebook.need_runs(frame, "the ladder")
-    assert "No run of the ladder is finished; 7 are planned." in shown[0]
+    assert "No run of the ladder is finished; 3 are planned." in shown[0]
     assert notebook.NO_RUNS in shown[0]
 
 

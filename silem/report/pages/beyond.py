@@ -33,7 +33,8 @@ def runs(
         frames.append(results.select(theirs, methods, shared))
     frame = results.joined(frames)
     missing = [run for found in frames for run in found.attrs["missing"]]
-    frame.attrs = frames[0].attrs | {"missing": missing, "n_own": len(frames[0])}
+    own = len(frames[0]), len(frames[0].attrs["missing"])
+    frame.attrs = frames[0].attrs | {"missing": missing, "own": own}
     return frame
 
 
