@@ -49,6 +49,8 @@ CURVE_COLUMNS = (
 """Of a learning curve, which has one row per iteration."""
 ALWAYS = 10  # so many first columns stand in every published curve, a later one if it has numbers
 MAX_ROWS = 200  # of a published curve
+Shown = tuple[Demonstrations | None, str]
+"""A run's demonstrations and their file's SHA-256; None and "" for no imitator."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -401,7 +403,7 @@ def run(
             gc.collect()
 
 
-def _make(config: RunConfig, shown: Any, progress: bool, until: float, most: float) -> RunRecord:
+def _make(config: RunConfig, shown: Shown, progress: bool, until: float, most: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
@@ -468,10 +470,10 @@ def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -
     return {name: files.sha256(folder / name) for name in names}
 
 
-def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
-    """Return a run's demonstrations and their file's SHA-256; None and "" for no imitator.
+def load_demonstrations(config: RunConfig) -> Shown:
+    """Return what a run is shown.
 
-    Raises SilemError: they are missing (the message says how to make them), too few, or not as
+    Raises SilemError: it is missing (the message says how to make it), too little, or not as
     published.
     """
     name = config.demonstrations
