@@ -307,7 +307,7 @@ def _work(options: argparse.Namespace) -> None:
 @_takes(_option("--study", nargs=1, dest="studies", default=["halfcheetah"], **_STUDY),
         *_RUNS, *_ONLY, *_LOOP)  # fmt: skip
 def _campaign(options: argparse.Namespace) -> None:
-    """Make what is missing of one study, by two workers if it is not said by how many."""
+    """Make what is missing of one study, by two workers by default."""
     options.workers = options.workers or 2
     _work(options)
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import nbformat
 from tqdm import tqdm
 
 from silem.report import glance, pdf, reads, web
+from silem.report.notebook import NO_RUNS
 from silem.report.pages import slider
 from silem.util.errors import SilemError
 from silem.util.files import lock
@@ -120,7 +121,19 @@ def stage(executed: Path, target: Path) -> None:
             for tag in _FOLDED.keys() & set(tags):
                 cell.metadata["tags"] = [*tags, *({"hide-input"} - set(tags))]
                 cell.metadata["mystnb"] = {"code_prompt_show": _FOLDED[tag]}
+        notebook.cells = list(_with_something_to_show(notebook.cells))
         nbformat.write(notebook, target / "notebooks" / path.name)
+
+
+def _with_something_to_show(cells: Sequence[Any]) -> Iterator[Any]:
+    """Leave out the cells that show runs, where the last that asked for some found none."""
+    empty = False
+    for cell in cells:
+        tags = cell.metadata.get("tags", [])
+        if "needs-runs" in tags:
+            empty = NO_RUNS in str(cell.outputs)
+        if not empty or "with-runs" not in tags:
+            yield cell
 
 
 def sphinx(source: Path, output: Path, builder: str = "html") -> Path:

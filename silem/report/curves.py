@@ -83,7 +83,8 @@ def compared_curves(groups: Mapping[str, pd.DataFrame]) -> Figure:
     """Draw every run of one to four tables, by name, over iterations: a dash per table."""
     first, lines, dashes = next(iter(groups.values())), [], {}
     for ls, (name, frame) in zip(_DASHES, groups.items(), strict=False):
-        dashes[f"{name}: {style.trials(len(frame))}"] = ls
+        if len(frame):
+            dashes[f"{name}: {style.trials(len(frame))}"] = ls
         for run in frame[frame["n_steps"] > 0].itertuples():
             look = {"color": style.method(run.method).color, "ls": ls, "lw": 1.6}
             lines.append((results.load_curve(run.run_id), look))

@@ -258,7 +258,7 @@ def encode_webp(clip: Clip) -> bytes:
 
 
 encode_png = partial(imageio.imwrite, "<bytes>", extension=".png", optimize=True)
-"""Encode a picture (H, W, 3), for instance a clip's first frame as its poster, as PNG."""
+"""Encode a picture (H, W, 3), for instance a clip's middle frame as its poster, as PNG."""
 
 _ENCODERS = {".mp4": encode_mp4, ".webp": encode_webp}
 

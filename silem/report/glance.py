@@ -1,7 +1,7 @@
 """What README and the introduction begin with, written by `make figures` between their markers.
 
-The box says which claims hold, which do not and which are undecided, and what stands behind that,
-with a figure; the film's caption says how many trials do.
+A summary in three sentences; the claims that hold, that do not and that are undecided, and what
+stands behind that, with a figure; and the film's caption.
 """
 
 import re
@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from silem.bodies.body import MAX_STEPS
+from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.report import claims, results, scores, style
 from silem.report.pages import walking
 from silem.report.scores import normalised_scores
 from silem.report.web import BODIES
-from silem.study.studies import STUDIES
+from silem.study.studies import BOTH, STUDIES
 from silem.util import files
 from silem.util.errors import SilemError
 from silem.util.paths import REPO
@@ -25,45 +27,80 @@ FIGURE = REPO / "book" / "figures" / "halfcheetah.svg"
 _VERDICTS = [claims.HOLDS, claims.FAILS, claims.UNDECIDED]
 
 
+def summary(root: str = "") -> str:
+    """Return in three sentences what came out; `root` is the way from its page to the root."""
+    studies = _studies()
+    found = pd.concat(map(claims.evaluate, studies.values()))
+    hold, fail, undecided = ((found["verdict"] == verdict).sum() for verdict in _VERDICTS)
+    few = found["reason"].str.startswith("too few").sum()
+    runner, humanoid = studies["halfcheetah"], studies["humanoids"]
+    told = [_means(runner, method, "normalised", 2) for method in BOTH]
+    told += [_means(humanoid, method, "return_mean", 0) for method in BOTH]
+    return (
+        "## At a glance\n\nA learner imitates an expert whose body is not its own: does SILEM do"
+        f" what its paper claims? Of [{len(found)} claims]({root}notebooks/07_scorecard.ipynb),"
+        f" each judged by a rule fixed before its runs were complete, **{hold} hold, {fail} do not"
+        f" and {undecided} are undecided**, {few} of these for want of trials.\n\nOn HalfCheetah"
+        f" SILEM scores {told[0]}, where the body's own experts score 1; SILEM⁻, the same without"
+        f" the transform, {told[1]}. On humanoids SILEM returns {told[2]} of at most {MAX_STEPS:,},"
+        f" and SILEM⁻ {told[3]}.\n\nAll that is with a gradient penalty of the discriminator that is"
+        f" ours and not the paper's. Without it SILEM survives, of {MAX_STEPS:,} steps,"
+        f" {walking.without_penalty(humanoid, 'upright', MAX_STEPS)}, and returns"
+        f" {walking.without_penalty(runner, 'return_mean')}."
+    )
+
+
+def _studies() -> dict[str, pd.DataFrame]:
+    return {study: results.load_records(study, "book") for study in FAMILIES}
+
+
+def _means(frame: pd.DataFrame, method: str, column: str, digits: int) -> str:
+    """Write a method's mean over trials on each body."""
+    cells = ((body, results.cell(frame, method, body)) for body in results.body_names(frame))
+    return ", ".join(f"{style.number(runs[column].mean(), digits)} on {b}" for b, runs in cells)
+
+
 def box(root: str = "") -> str:
-    """Return the box as Markdown; `root` is the way from its page to the repository's root."""
-    frames = [results.load_records(study, "book") for study in FAMILIES]
+    """Return the claims by verdict as Markdown, and what stands behind them, with a figure."""
+    frames = list(_studies().values())
+    empty = "; empty slots are runs not made yet" * bool(frames[0].attrs["missing"])
     return "\n\n".join(
         [
-            "## At a glance",
-            "A learner imitates an expert whose body is not its own: does SILEM, the paper's way to"
-            " do that, do here what the paper claims? Each claim is judged [by a rule fixed before"
-            f" its runs were complete]({root}notebooks/07_scorecard.ipynb), on the bodies that are"
-            " named.",
+            "## The claims",
             *map(_matrix, frames),
             _behind(frames),
             "![Left the normalised scores of SILEM and its ablation on three HalfCheetah bodies,"
             " minimum, mean and maximum over trials; right the forward speed of the same trials"
             f" and of the experts.]({root}{FIGURE.relative_to(REPO)})",
-            "*Figure 2b from the committed runs, and the speed behind each score; empty slots are"
-            " runs not made yet.*",
+            f"*Figure 2b from the committed runs, and the speed behind each score{empty}.*",
         ]
     )
 
 
 def _matrix(frame: pd.DataFrame) -> str:
-    """Return a table of the claims by verdict: in each cell the bodies that have it, and why."""
+    """Return a study's claims with the bodies on which they hold and do not; folded, the others."""
     found = claims.evaluate(frame)
     spans = found["reason"].str.contains("spans the bound")
     why = found["reason"].str.partition(":")[0].mask(spans, "interval spans the bound")
     title, body = ([getattr(claim, of) for claim in found["claim"]] for of in ("title", "body"))
+    title = [f"{text} on the body named" if text.endswith(" than") else text for text in title]
     named = found.assign(title=title, body=body, why=why)
     named = named.groupby(["title", "verdict", "why"], sort=False)["body"].agg(", ".join)
     named = named.reset_index()
     named["body"] += named["why"].map(lambda words: f" ({words})" if words else "")
-    table = named.groupby(["title", "verdict"])["body"].agg("; ".join).unstack(fill_value="")
-    table = table.reindex(pd.unique(pd.Series(title)), columns=_VERDICTS, fill_value="")
-    heads = [f"{verdict} ({(found['verdict'] == verdict).sum()})" for verdict in _VERDICTS]
-    lines = [f"| {title} | {' | '.join(cells)} |" for title, *cells in table.itertuples()]
+    table = named.groupby(["title", "verdict"])["body"].agg("; ".join).unstack()
+    table = table.reindex(index=dict.fromkeys(title), columns=_VERDICTS)
+    count = found["verdict"].value_counts().reindex(_VERDICTS, fill_value=0)
     study, _ = results.context(frame)
-    name = f"{FAMILIES[study]}, {STUDIES[study].about}"
-    head = f"**{name}: {len(found)} claims**\n\n| claim | {' | '.join(heads)} |\n"
-    return head + "\n".join(["| --- | --- | --- | --- |", *lines])
+    text = f"**{FAMILIES[study]}, {STUDIES[study].about}: {len(found)} claims**"
+    for columns in (_VERDICTS[:2], _VERDICTS[2:]):
+        rows = table[columns].dropna(how="all").fillna("")
+        heads = " | ".join(f"{verdict} ({count[verdict]})" for verdict in columns)
+        part = f"| claim | {heads} |\n| --- |{' --- |' * len(columns)}"
+        part += "".join(f"\n| {' | '.join(row)} |" for row in rows.itertuples())
+        folded = f"<details><summary>{heads}</summary>\n\n{part}\n\n</details>"
+        text += f"\n\n{folded if columns == _VERDICTS[2:] else part}" * bool(len(rows))
+    return text
 
 
 def _behind(frames: list[pd.DataFrame]) -> str:
@@ -86,32 +123,32 @@ def _behind(frames: list[pd.DataFrame]) -> str:
 
 def film(_: str = "") -> str:
     """Return the caption of README's film as Markdown."""
-    frame = results.load_records("humanoids", "book")
-    parts = [_trials(frame, method) for method in scores.COMPARED]
     return (
         "*SILEM's policy on dm_control's humanoid, learned from one clip of a man walking: no"
-        " reward, no actions, no retargeting. One trial is filmed. Behind it:"
-        f" {parts[0]}; its rivals: {'; '.join(parts[1:])}."
+        " reward, no actions, no retargeting. It is one trial."
+        f" {_walks(results.load_records('humanoids', 'book'))}"
         f" `silem render {BODIES['Humanoid']} --out walk.mp4` films it again.*"
     )
 
 
-def _trials(frame: pd.DataFrame, method: str) -> str:
-    """Say how many trials of a method there are, on which bodies, and how many of them walk."""
-    label, runs = style.method(method, "").label, results.trained(results.select(frame, [method]))
-    if runs.empty:
-        return f"{label} has no run"
-    gaits = [walking.gait(*row) for row in zip(runs["upright"], runs["speed_m_s"], strict=True)]
-    walk = sum(gait in (walking.WALKS, walking.SLOWER) for gait in gaits)
-    counts = [f"{body} {count}" for body, count in runs.groupby("body").size().items()]
+def _walks(frame: pd.DataFrame) -> str:
+    """Say how many trials of each method walk on humanoids, how fast, and what they return."""
+    told = []
+    for method in scores.COMPARED:
+        runs = results.select(frame, [method])
+        gaits = [walking.gait(*row) for row in zip(runs["upright"], runs["speed_m_s"], strict=True)]
+        walk = sum(gait in (walking.WALKS, walking.SLOWER) for gait in gaits)
+        means = f"{style.number(runs['speed_m_s'].mean(), 2)} m/s, return"
+        means = f"{walk} of {len(runs)} ({means} {style.number(runs['return_mean'].mean())})"
+        means = means if gaits else "no run"
+        told.append(f"{style.method(method, '').label} {means}")
     return (
-        f"{label} has {style.trials(len(runs))} on {len(counts)} of"
-        f" {len(results.body_names(frame))} bodies ({', '.join(counts)}), of which {walk}"
-        f" {'walks' if walk == 1 else 'walk'}"
+        f"Trials that walk, on {', '.join(results.body_names(frame))}, with the means of all:"
+        f" {'; '.join(told)}. The man's speed is {DEMONSTRATOR_SPEED_M_S:.2f} m/s."
     )
 
 
-_BLOCKS: dict[str, Callable[[str], str]] = {"at a glance": box, "film": film}
+_BLOCKS: dict[str, Callable[[str], str]] = {"at a glance": summary, "claims": box, "film": film}
 PAGES = {REPO / "README.md": "", REPO / "book" / "intro.md": "../"}
 """The pages with markers, and the way from each to the repository's root."""
 

@@ -140,7 +140,7 @@ def play(clip: "Clip | None", caption: str) -> None:
     from silem.report import film as films
 
     height, width = clip.frames.shape[1:3]
-    poster = base64.b64encode(films.encode_png(clip.frames[0])).decode()
+    poster = base64.b64encode(films.encode_png(clip.frames[len(clip.frames) // 2])).decode()
     video = base64.b64encode(films.encode_mp4(clip)).decode()
     text = html.escape(caption)
     page = (
@@ -200,6 +200,21 @@ def text(words: str) -> None:
 def note(text: str) -> None:
     """Say on the page what is not there."""
     display(HTML(f"<p><em>{html.escape(text)}</em></p>"))
+
+
+NO_RUNS = "silem-no-runs"
+"""What a page's cell shows where `need_runs` found none."""
+
+
+def need_runs(frame: pd.DataFrame, what: str) -> None:
+    """Say in a banner if no run of a study is finished.
+
+    The book leaves out the cells below that have the tag ``with-runs``, up to the next that asks.
+    """
+    if not frame.attrs.get("n_own", len(frame)):
+        words = f"No run of {what} is finished; {len(frame.attrs['missing'])} are planned."
+        words += " Figures, numbers and verdicts stand here from the first one on."
+        display(HTML(f'<div class="admonition note {NO_RUNS}"><p>{html.escape(words)}</p></div>'))
 
 
 def say(**values: float | str | np.ndarray | None) -> None:

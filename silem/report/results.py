@@ -259,9 +259,10 @@ def hours(runs: pd.DataFrame) -> str:
     wall = f"{without['wall_time_s'].sum() / 3600:.1f} hours of wall time"
     if len(without) == len(runs) > 0:
         return wall
-    words = f"{runs['processor_time_s'].sum() / 3600:.1f} hours of processor time"
+    words = f"{runs['processor_time_s'].sum() / 3600:.1f} CPU hours"
     if len(without):
-        words += f" and {wall} where that was not counted ({style.trials(len(without))})"
+        older = style.trials(len(without)).replace("trial", "older trial")
+        words += f", and {wall} for {older} without a CPU count"
     return words
 
 

@@ -40,12 +40,12 @@ _SHOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...] | None]] = {
     "affine_or_mlp": (("ppo", "random", "silem", "silem-mlp"), ("HC0",)),
     "learning_curves": (tuple(m for m in METHODS if m != "random"), None),
     "by_feature": (("silem",), None),
-    "humanoid_scores": (("ppo", *COMPARED), ("Atlas", "Humanoid", "HumanoidR")),
+    "humanoid_scores": (("ppo", *COMPARED), ("Humanoid", "HumanoidR", "Atlas")),
 }
 _MEAN: dict[str, Any] = {"color": style.MUTED, "lw": 1, "ls": style.DASHED}
 _DOTTED: dict[str, Any] = {"color": style.INK, "lw": 1.5, "ls": (0, (1, 1.5))}
 _LEVELS: dict[str, tuple[str, dict[str, Any]]] = {
-    "max": ("the best of them, the demonstrator", {"color": style.INK, "lw": 1, "ls": (0, (1, 2))}),
+    "max": ("the best expert", {"color": style.INK, "lw": 1, "ls": (0, (1, 2))}),
     "mean": ("PPO, true reward", {"color": style.MUTED, "lw": 1.2, "ls": style.DASHED}),
 }
 _MAX_RETURN = paper.number("humanoid_max_return")

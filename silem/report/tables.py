@@ -56,8 +56,8 @@ _SETTINGS = {about.parameter: symbol for symbol, about in paper.symbols().items(
     "disc_entropy_coef": "entropy bonus",
     "learning_rate": "rate of PPO",
     "clip_range": "clip range",
-    "clip_actions": "actions clipped",
-    "anneal_clip": "clip range falls",
+    "clip_actions": "clipping of actions",
+    "anneal_clip": "falling clip range",
     "log_std_init": "first std",
     "encoder_layers": "layers of the encoder",
 }
@@ -68,7 +68,7 @@ def setting(name: str, value: Any) -> tuple[str, str]:
     if name == "log_std_init":
         value = float(f"{math.exp(value):.2g}")
     if isinstance(value, bool):
-        value = "yes" if value else "no"
+        value = "on" if value else "off"
     return _SETTINGS.get(name, name), value if isinstance(value, str) else number(value, None)
 
 
@@ -189,7 +189,7 @@ def coverages() -> Styler:
 def cell_table(frame: pd.DataFrame) -> Styler:
     """Return one row per cell of a study: trials, returns, scores, gait and time.
 
-    The second score is against the body's best expert, who demonstrates, not against their mean.
+    The second score is against the body's best expert, not against their mean.
     """
     original, level = results.original_body(frame), frame.where(frame["method"].eq("ppo"))
     level = frame["body"].map(level.groupby("body")["return_mean"].max())

@@ -116,7 +116,7 @@ _MEMBERS = ("mujoco.js", "mujoco.wasm")
 def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
     """Write every pack into a folder, and what the pages must know of them into ``packs.js``.
 
-    The first picture of each film becomes its poster, beside it in the folder above.
+    The middle picture of each film becomes its poster, beside it in the folder above.
     """
     mujoco, sizes = distribution("mujoco"), {}
     packs = {f"body-{name}": body_pack(name) for name in BODIES}
@@ -131,7 +131,9 @@ def write(folder: Path, cache: Path = REPO / "_build" / "npm") -> None:
         files.write_text(folder / "mujoco-LICENSE.txt", found.read_text())
     films = REPO / "book" / "_static"
     for path in films.rglob("*.mp4"):
-        poster = imageio.imwrite("<bytes>", imageio.imread(path, index=0), extension=".jpg")
+        about_film = imageio.immeta(path)
+        middle = int(about_film["duration"] * about_film["fps"] / 2)
+        poster = imageio.imwrite("<bytes>", imageio.imread(path, index=middle), extension=".jpg")
         files.write_bytes((folder.parent / path.relative_to(films)).with_suffix(".jpg"), poster)
     about = {"version": NPM_PACKAGE[1], "mujoco_python": mujoco.version, "sizes": sizes}
     files.write_text(folder / "packs.js", f"silem.about = {json.dumps(about)};\n")

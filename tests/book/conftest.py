@@ -16,7 +16,7 @@ from silem.util.paths import REPO
 
 @pytest.fixture(scope="session")
 def html() -> Path:
-    """The pages of the book as ``make book`` leaves them: what has not changed is not built again."""
+    """The pages as ``make book`` leaves them: what has not changed is not built again."""
     try:
         return build.build()
     except SilemError as error:

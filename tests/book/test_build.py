@@ -45,6 +45,23 @@ def test_parameters_are_injected_and_folded_away(tmp_path: Path) -> None:
     assert (tmp_path / "source" / "book" / "method.md").exists()
 
 
+@pytest.mark.parametrize("empty", [True, False])
+def test_what_shows_runs_is_left_out_where_there_are_none(tmp_path: Path, empty: bool) -> None:
+    sources = [("needs-runs", "a"), ("with-runs", "b"), ("", "c"), ("needs-runs", "d")]
+    sources += [("with-runs", "e")]
+    cells = []
+    for tag, source in sources:
+        cells.append(v4.new_code_cell(source, metadata={"tags": [tag]} if tag else {}))
+    if empty:
+        html = f'<div class="admonition note {build.NO_RUNS}"><p>None.</p></div>'
+        cells[0].outputs = [v4.new_output("display_data", {"text/html": html})]
+    (tmp_path / "out").mkdir()
+    nbformat.write(v4.new_notebook(cells=cells), tmp_path / "out" / "01_page.ipynb")
+    build.stage(tmp_path / "out", tmp_path / "source")
+    staged = nbformat.read(tmp_path / "source" / "notebooks" / "01_page.ipynb", as_version=4)
+    assert "".join(cell.source for cell in staged.cells) == ("acde" if empty else "abcde")
+
+
 def test_the_books_parameters_are_parameters_of_its_notebooks() -> None:
     paths = {path.stem: path for path in build.notebooks()}
     for name, parameters in build.BOOK_PARAMETERS.items():

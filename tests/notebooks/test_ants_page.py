@@ -91,3 +91,4 @@ def test_without_any_run_the_page_says_so(execute: Execute) -> None:
     assert spoken["n_entries"] == "0"
     assert "Ant6, first trials, in real time: SILEM: no run yet" in words(output(page, "film-Ant6"))
     assert ants.correlations(results.load_records("ant", "tiny")).empty
+    assert "No run of the Ants' study is finished; 175" in words(output(page, "needs"))

@@ -73,4 +73,5 @@ def test_without_any_run_the_page_says_so(execute: Execute) -> None:
         assert "not run yet" in text(page, f"{name}-says")
         assert output(page, f"{name}-sensitivity").startswith("<svg")
         assert "0 runs, 48 of the planned runs" in words(output(page, f"{name}-runs"))
+    assert "No run of the search on HC2 is finished; 48" in words(output(page, "hc2-needs"))
     assert "--iterations 2" in output(page, "again")

@@ -12,6 +12,8 @@ import pytest
 from conftest import NOTEBOOKS
 
 from silem.report.notebook import literal_assignments
+from silem.study import runs
+from silem.study.studies import experts
 from silem.util.errors import SilemError
 
 MAX_CODE_LINES = 15
@@ -157,3 +159,10 @@ def test_the_door_refuses_unknown_names_and_wrong_types(path: Path) -> None:
     for name in defaults(path):
         with pytest.raises(SilemError, match=rf"{name} = \[\] is not .*Allowed: .*{name}: "):
             door(path, **{name: []})
+
+
+def test_the_page_of_demonstrations_shows_whoever_demonstrates() -> None:
+    (path,) = [path for path in NOTEBOOKS if path.stem == "03_demonstrations"]
+    shown = defaults(path)
+    demonstrator = runs.demonstrator(experts(shown["body"], shown["budget"]))
+    assert shown["seed"] == demonstrator.run_config.seed

@@ -76,6 +76,7 @@ def test_walking(execute: Execute) -> None:
         "limbs": "HumanoidR 0 1.32 → – ", "gap": "open: too few trials",
     }.items():  # fmt: skip
         assert said_there in words(output(page, cell_id)), cell_id
+    assert "– (981 with it) on Humanoid, – (– with it) on HumanoidR" in spoken["without_penalty"]
     film = output(page, "film")
     assert "twelve cells, on one clock" in words(film)
     assert film.count("data:video/mp4;base64,") == (not why_no_pictures("Humanoid"))

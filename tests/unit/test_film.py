@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import subprocess
 from contextlib import closing
@@ -331,6 +332,10 @@ def test_a_film_is_played_with_controls_poster_and_words(monkeypatch: pytest.Mon
     shown: list[str] = []
     monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
     monkeypatch.setattr(film, "why_no_pictures", lambda body: "")
-    notebook.film(lambda: Clip(np.zeros((2, 16, 16, 3), np.uint8), 40.0), "a walk")
+    frames = np.zeros((5, 16, 16, 3), np.uint8)
+    frames[2] = 200
+    notebook.film(lambda: Clip(frames, 40.0), "a walk")
+    poster = base64.b64encode(film.encode_png(frames[2])).decode()
+    assert f"data:image/png;base64,{poster}" in shown[0]  # the middle, not the start pose
     for part in ("<video controls", 'aria-label="a walk"', 'poster="data:image/png', "data:video"):
         assert part in shown[0]

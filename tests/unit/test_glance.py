@@ -32,9 +32,9 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def row(box: str, start: str) -> list[str]:
-    line = next(line for line in box.splitlines() if line.startswith(f"| {start}"))
-    return [cell.strip() for cell in line.strip("|").split("|")]
+def rows(box: str, start: str) -> list[list[str]]:
+    lines = [line for line in box.splitlines() if line.startswith(f"| {start}")]
+    return [[cell.strip() for cell in line.strip("|").split("|")][1:] for line in lines]
 
 
 @pytest.mark.parametrize("page", glance.PAGES, ids=lambda page: page.name)
@@ -46,20 +46,35 @@ def test_the_pages_say_what_the_committed_records_say(
     assert glance.FIGURE.read_text() == glance.figure(), "run `make figures`"
 
 
-def test_what_fails_stands_beside_what_holds(made_up: Path) -> None:
+def test_what_fails_stands_beside_what_holds_and_the_undecided_is_folded(made_up: Path) -> None:
     box = glance.box()
-    assert row(box, "SILEM reaches expert level")[1:] == [
-        "HC0", "HC2", "HC1 (interval spans the bound)",
-    ]  # fmt: skip
-    assert row(box, "SILEM far outperforms TPIL")[3] == (
-        "Atlas, Humanoid, HumanoidR (too few trials)"
-    )
+    families = box.split("**")[1::2]
+    assert [text.split(",")[0] for text in families] == list(glance.FAMILIES.values())
+    first, ants, humanoids = (text.partition("<details>") for text in box.split("**")[2::2])
+    assert rows(first[0], "SILEM reaches expert level") == [["HC0", "HC2"]]
+    assert rows(first[2], "SILEM reaches expert level") == [["HC1 (interval spans the bound)"]]
+    few = ["Humanoid, HumanoidR, Atlas (too few trials)"]
+    assert rows(humanoids[2], "SILEM far outperforms TPIL") == [few]
+    assert rows(humanoids[2], "TPIL does much better on Atlas than on the body named")
+    assert "|" not in ants[0] + humanoids[0]
     titles = {claim.title for study in glance.FAMILIES for claim in claims.of(study)}
-    assert all(f"| {title} |" in box for title in titles)
-    heads = [line for line in box.splitlines() if line.startswith("| claim |")]
-    counts = [[int(n) for n in re.findall(r"\((\d+)\)", head)] for head in heads]
-    assert [sum(found) for found in counts] == [len(claims.of(s)) for s in glance.FAMILIES]
-    assert counts[0][1] >= 1 and counts[1:] == [[0, 0, 34], [0, 0, 27]]
+    assert all(f"| {title}" in box for title in titles)
+    counts = [int(n) for line in rows(box, "claim |") for n in re.findall(r"\((\d+)\)", str(line))]
+    assert sum(counts) == sum(len(claims.of(study)) for study in glance.FAMILIES)
+    assert counts[1] >= 1 and counts[3:] == [34, 27]
+    assert box.count("</details>") == 3 and "empty slots are runs not made yet" not in box
+
+
+def test_the_summary_counts_verdicts_and_says_what_the_penalty_does(made_up: Path) -> None:
+    (without,) = (c for c in cells("no-gradient-penalty") if (c.method, c.body) == ("silem", "HC1"))
+    for seed, goal in enumerate((300.0, 500.0)):
+        synthetic.write_record(without.config("book", seed), goal)
+    text = glance.summary("../")
+    assert "Of [79 claims](../notebooks/07_scorecard.ipynb)" in text and "61 of these" in text
+    assert re.search(r" 0.(89|9\d) on HC1", text)
+    assert re.search(r" 39\d \(1,35\d with it\) on HC1", text)  # near 400 and 0.9 of 1,500
+    assert "– on HC0" not in text.partition("gradient penalty")[0]
+    assert "returns 840 on Humanoid, – on HumanoidR, – on Atlas of at most 1,000" in text
 
 
 def test_the_box_counts_trainings_and_hours(made_up: Path) -> None:
@@ -76,23 +91,23 @@ def test_hours_are_processor_time_where_it_was_counted(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     first, second = (RunConfig.create("HC0", "ppo", budget="book", seed=s) for s in (0, 1))
     synthetic.write_record(first, processor_time_s=3 * 3600.0)
-    assert "and 3.0 hours of processor time, on" in glance.box()  # no hours by the clock: 420 s
+    assert "and 3.0 CPU hours, on" in glance.box()  # no hours by the clock: 420 s
     synthetic.write_record(second)
-    assert "3.0 hours of processor time and 0.1 hours of wall time where that was not counted" in (
-        box := glance.box()
-    )
-    assert "(one trial), on one processor core" in box
+    words = "3.0 CPU hours, and 0.1 hours of wall time for one older trial without a CPU count"
+    assert f"{words}, on one processor core" in (box := glance.box())
+    assert "empty slots are runs not made yet" in box
 
 
 def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
     caption = glance.film()
-    assert "SILEM has one trial on 1 of 3 bodies (Humanoid 1), of which 1 walks" in caption
-    assert "SILEM⁻ has no run" in caption and BODIES["Humanoid"] in caption
+    assert "on Humanoid, HumanoidR, Atlas, with the means of all: SILEM 1 of 1 (" in caption
+    assert "m/s, return 840); SILEM⁻ no run" in caption and BODIES["Humanoid"] in caption
 
 
 def test_without_any_run_the_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
-    assert "0 finished trainings" in glance.box() and "SILEM has no run" in glance.film()
+    assert "0 finished trainings" in glance.box() and ": SILEM no run" in glance.film()
+    assert "– on HC0" in glance.summary()
 
 
 def test_a_block_without_its_end_is_refused(made_up: Path, tmp_path: Path) -> None:

@@ -29,6 +29,19 @@ def test_table_without_digits_keeps_numbers_as_they_are() -> None:
     assert [row[0] for row in cells(frame)] == ["0.0002", "0.99", "64", "[64, 64]", "True", "None"]
 
 
+def test_a_banner_says_that_a_study_has_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr(notebook, "display", lambda page: shown.append(page.data))
+    frame = pd.DataFrame({"run_id": ["shared"]})
+    frame.attrs = {"missing": [{}] * 7}
+    notebook.need_runs(frame, "the ladder")
+    assert not shown
+    frame.attrs["n_own"] = 0  # what another study made does not count
+    notebook.need_runs(frame, "the ladder")
+    assert "No run of the ladder is finished; 7 are planned." in shown[0]
+    assert notebook.NO_RUNS in shown[0]
+
+
 def test_named_index_becomes_the_first_column_and_an_unnamed_one_is_left_out() -> None:
     frame = pd.DataFrame({"x": [1]}, index=["row"])
     assert cells(frame.rename_axis("name")) == [["row", "1"]]

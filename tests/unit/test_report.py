@@ -354,7 +354,7 @@ def test_what_a_search_or_a_control_tried_is_there_before_its_runs_are(
     rows = tables.means([({"with": name}, runs) for name, runs in of_hc0], ["return_mean"])
     told = style.number(made.evaluation["return_mean"])
     assert rows.to_numpy().tolist() == [
-        ["actions clipped no", "0", style.DASH], ["clip range falls yes", "1", told],
+        ["clipping of actions off", "0", style.DASH], ["falling clip range on", "1", told],
     ]  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def runs(
         frames.append(results.select(theirs, methods, shared))
     frame = results.joined(frames)
     missing = [run for found in frames for run in found.attrs["missing"]]
-    frame.attrs = frames[0].attrs | {"missing": missing}
+    frame.attrs = frames[0].attrs | {"missing": missing, "n_own": len(frames[0])}
     return frame
 
 

@@ -72,6 +72,7 @@ def counts(runs: pd.DataFrame) -> dict[str, float]:
     hours = made["wall_time_s"] / 3600
     counted = {"runs": len(made), "missing": len(missing), "steps": made["steps"].sum()}
     counted |= {"hours": hours.sum(), "hours_left": round(hours_left(missing, made), 0)}
+    counted |= {"random": sum(made["steps"] == 0), "random_missing": sum(missing["steps"] == 0)}
     return counted | {"largest": hours.max()}
 
 

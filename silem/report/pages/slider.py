@@ -9,7 +9,6 @@ import gzip
 import json
 import math
 import tempfile
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -22,7 +21,7 @@ from tqdm import tqdm
 from silem import bodies
 from silem.algorithms import PPO, SILEM
 from silem.algorithms.silem import AffineTransform
-from silem.report import film, style
+from silem.report import film, style, tables
 from silem.report.transforms import feature_names
 from silem.study import runs
 from silem.study.runs import CHECKPOINT, CURVE, TRANSFORM, RunRecord, curve_csv, recorded
@@ -121,8 +120,7 @@ def learning_pack() -> bytes:
         run = {name: config[name] for name in ("study", "body", "method", "seed")}
         run |= {
             "id": record.run_id,
-            "label": f"{style.method(config['method'], '').label}, trial {config['seed']},"
-            f" {config['budget']['n_iterations']:,} iterations",
+            "label": _label(record),
             "colour": style.method(config["method"]).color,
             "curve": {name: _plain(column) for name, column in curve.items()},
         }
@@ -137,10 +135,6 @@ def learning_pack() -> bytes:
             run["learned"] = {name: [_plain(row) for row in arrays[name]] for name in ("A", "b")}
             run["learned"]["iteration"] = arrays["iteration"].tolist()
         runs.append(run)
-    labels = Counter((run["study"], run["body"], run["label"]) for run in runs)
-    for run in runs:  # those of a search differ in settings alone
-        if labels[run["study"], run["body"], run["label"]] > 1:
-            run["label"] += f", {run['id'].rpartition('_')[2]}"
     used = dict.fromkeys(run["body"] for run in runs if "A" in run)
     data = {
         "runs": runs,
@@ -148,6 +142,15 @@ def learning_pack() -> bytes:
         "studies": {name: STUDIES[name].about for name in STUDIES},
     }
     return gzip.compress(json.dumps(data).encode(), 9, mtime=0)
+
+
+def _label(record: RunRecord) -> str:
+    """Name a run by its method and demonstrations, and by the settings that its cell has not."""
+    config, name = record.run_config, style.method(record.config["method"], "").label
+    name += f" from {config.demonstrations}" * bool(config.demonstrations)
+    told = [f"trial {config.seed}", f"{config.budget.n_iterations:,} iterations"]
+    changed = [(n, s.value) for n, s in config.settings().items() if s.source == "this run"]
+    return ", ".join([name, *told, *(" ".join(tables.setting(*item)) for item in changed)])
 
 
 def _plain(values: np.ndarray) -> list[float | None]:

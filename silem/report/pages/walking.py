@@ -19,7 +19,7 @@ from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
 from silem.motion.demonstrator import CLIPS, published_motion
 from silem.motion.gait import distance, walk
-from silem.report import film, notebook, results, style, tables
+from silem.report import film, results, style, tables
 from silem.report.claims import MARGIN
 from silem.report.curves import rises
 from silem.report.scores import COMPARED
@@ -43,8 +43,7 @@ a body's shape counts as well."""
 
 _SHARES, _SPAN = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 3 / 4, 1.0), 0.03
 _MILESTONES = ("return_mean", "episode_length", "speed_m_s", "disc_reward", "policy_std")
-_SIZE = 320, 300  # pixels of a picture in the strip
-_CELL = 200, 264  # and of one cell in the film of all
+_CELL = 200, 264  # pixels of one cell in the film of all
 
 
 def gait(survived: float, speed_m_s: float) -> str:
@@ -161,6 +160,17 @@ def cell_sentences(frame: pd.DataFrame, name: str, method: str, body: str) -> di
     }
 
 
+def without_penalty(
+    frame: pd.DataFrame, column: str, factor: float = 1.0, method: str = "silem"
+) -> str:
+    """Write a method's means by the paper's loss for D on each body, in brackets those by ours."""
+    both, told = (results.paper_loss(frame), frame), []
+    for body in results.body_names(frame):
+        means = [(factor * results.cell(f, method, body)[column]).mean() for f in both]
+        told.append("{} ({} with it) on {}".format(*map(number, means), body))
+    return ", ".join(told)
+
+
 def milestones(frame: pd.DataFrame, method: str, body: str) -> pd.DataFrame:
     """Return, as text, how a cell's best run came along: means up to parts of its iterations."""
     run_id = best_run(frame, method, body)
@@ -194,17 +204,6 @@ def _whole(value: float) -> float:
     return math.nan if math.isnan(value) else round(value)
 
 
-def show_strip(run_id: str, duration_s: float) -> None:
-    """Show a run's policy in equally spaced pictures, a film on paper; of no run, "", say so."""
-    if not run_id:
-        notebook.note("No pictures: there is no run.")
-    elif why := film.why_no_pictures(results.find(run_id).config["body"]):
-        notebook.note(f"No pictures: {why}")
-    else:
-        (clip,) = film.of_runs({"": results.find(run_id)}, duration_s, _SIZE).values()
-        notebook.show_picture(film.strip(clip))
-
-
 def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     """Film the man, who begins again when his clip ends, PPO, and the twelve cells, on one clock.
 
@@ -213,9 +212,7 @@ def all_cells(frame: pd.DataFrame, duration_s: float) -> film.Clip:
     man, clips = published_motion(MAN), {}
     shown = film.motion(film.man(), man.qpos, man.rate_hz, size=_CELL)
     times = np.arange(max(1, round(duration_s * shown.frames_per_s))) % len(shown.frames)
-    clips[f"the man\n(a clip of {man.duration_s:.1f} s)"] = film.Clip(
-        shown.frames[times], shown.frames_per_s
-    )
+    clips["the man"] = film.Clip(shown.frames[times], shown.frames_per_s)
     names = results.body_names(frame)
     every = [*product(["ppo"], names), *((m, b) for b in names for m in COMPARED)]
     best = {f"{style.METHODS[m].short}\n{b}": best_run(frame, m, b) for m, b in every}
@@ -292,7 +289,7 @@ def reversal_sentences() -> dict[str, float]:
         "deep_good": tpil.at[2, ("reward_good", "mean")],
         "silem_good": means.at["silem", "reward_good"],
     }
-    return {name: round(100 * share, 1) for name, share in shares.items()} | rewards
+    return {name: round(100 * share) for name, share in shares.items()} | rewards
 
 
 @style.applied()
@@ -318,8 +315,10 @@ def reversal_figure() -> Figure:
             look = {"color": known.color, "ls": ":", "lw": 2}
             handles[known.label] = style.handle(label=known.label, **look)
             ranked.axhline(level.mean(), **look)
+    for axes, of in zip(panels, ("states", "pairs") * 2, strict=True):
+        axes.set(ylabel=f"share of {of}", ylim=(0.3, 1.03))
     for axes in panels[-2:]:
-        axes.set(xlabel="C_g, weight of the reversed gradient", ylim=(0.3, 1.03))
+        axes.set_xlabel("C_g, weight of the reversed gradient")
     note = "left, solid: TPIL's own domain head; dashed: a linear probe of what it is shown"
     note += f"; seeds: {style.span(found['seed'])}"
     return style.finish(figure, list(handles.values()), note, ncols=4)
