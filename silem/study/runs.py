@@ -377,9 +377,9 @@ def run(
     named = namesake(config.budget, bodies.get(config.body).family)
     differs = [n for n, count in vars(config.budget).items() if getattr(named, n) != count]
     if differs not in ([], ["n_trials"]):  # it would pass for evidence; old records may differ
+        told = f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r}"
         raise SilemError(
-            f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r};"
-            f" give it a name of its own, which begins with none of {', '.join(BUDGETS)}"
+            f"{told}; give it a name of its own, without {', '.join(BUDGETS)} in front"
         )
     shown = load_demonstrations(config)
     with stoppable(), files.lock(folder / LOCK):
@@ -471,11 +471,7 @@ def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -
 
 
 def load_demonstrations(config: RunConfig) -> Shown:
-    """Return what a run is shown.
-
-    Raises SilemError: it is missing (the message says how to make it), too little, or not as
-    published.
-    """
+    """Return what a run is shown; SilemError if that is missing, too little or not as published."""
     name = config.demonstrations
     if not name:
         return None, ""
