@@ -378,9 +378,7 @@ def run(
     differs = [n for n, count in vars(config.budget).items() if getattr(named, n) != count]
     if differs not in ([], ["n_trials"]):  # it would pass for evidence; old records may differ
         told = f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r}"
-        raise SilemError(
-            f"{told}; give it a name of its own, without {', '.join(BUDGETS)} in front"
-        )
+        raise SilemError(f"{told}; give it a name of its own, begun unlike {', '.join(BUDGETS)}")
     shown = load_demonstrations(config)
     with stoppable(), files.lock(folder / LOCK):
         for place in {folder, _home(config)}:
