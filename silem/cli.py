@@ -401,8 +401,7 @@ def _demonstrations(options: argparse.Namespace) -> None:
     if options.run:
         record = runs.get(options.run)
     else:
-        experts = studies.experts(options.body, options.budget, options.trial)
-        record = runs.demonstrator(experts)
+        record = runs.demonstrator(studies.experts(options.body, options.budget, options.trial))
         name = None if options.trial is None else f"{options.body}_s{options.trial}"
     from silem.study import evaluate
 

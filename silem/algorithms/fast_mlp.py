@@ -72,6 +72,12 @@ class _Tower:
                 grad_out *= 1.0 - x * x
 
 
+def _nets(policy: ActorCriticPolicy) -> tuple[list[nn.Module], list[nn.Module]]:
+    """Return the layers of actor and critic, each with its head."""
+    hidden = policy.mlp_extractor
+    return [*hidden.policy_net, policy.action_net], [*hidden.value_net, policy.value_net]
+
+
 class FlatActorCritic:
     """NumPy twin of a policy that it :meth:`supports`; takes over the memory of its parameters."""
 
@@ -93,7 +99,7 @@ class FlatActorCritic:
         space, adam, parameters = policy.observation_space, policy.optimizer, [*policy.parameters()]
         if type(adam) is not th.optim.Adam or len(adam.param_groups) != 1:
             return False
-        group, hidden = adam.param_groups[0], policy.mlp_extractor
+        group = adam.param_groups[0]
         return (
             isinstance(space, spaces.Box)
             and not (policy.normalize_images and is_image_space(space))
@@ -107,14 +113,11 @@ class FlatActorCritic:
             and type(policy.action_dist) is DiagGaussianDistribution
             and not policy.squash_output
             and type(policy.features_extractor) in (FlattenExtractor, RunningNormalizer)
-            and type(hidden) is MlpExtractor
+            and type(policy.mlp_extractor) is MlpExtractor
             and all(
                 type(layer) is (nn.Tanh if i % 2 else nn.Linear)
-                for net, head in (
-                    (hidden.policy_net, policy.action_net),
-                    (hidden.value_net, policy.value_net),
-                )
-                for i, layer in enumerate([*net, head])
+                for net in _nets(policy)
+                for i, layer in enumerate(net)
             )
         )
 
@@ -221,10 +224,9 @@ class FlatActorCritic:
                 adam[name] = moment.copy_(adam[name]) if name in adam else moment
         self._pointers = self._tensor_pointers()
         self._log_std, self._log_std_grad = views[policy.log_std]
-        nets = policy.mlp_extractor
         self._actor, self._critic = (
             _Tower([views[n.weight] + views[n.bias] for n in net if isinstance(n, nn.Linear)])
-            for net in ([*nets.policy_net, policy.action_net], [*nets.value_net, policy.value_net])
+            for net in _nets(policy)
         )
 
     def _tensor_pointers(self) -> list[int]:

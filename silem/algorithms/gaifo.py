@@ -375,10 +375,10 @@ class LearnerFeatures:
         for i in which:
             if (INFO_KEY in infos[i]) != self._in_infos:
                 has = "lacks" if self._in_infos else "supplies"
-                raise SilemError(
-                    f"environment {i} {has} info[{INFO_KEY!r}] at {call}, unlike at the first"
-                    " reset; every environment must supply it from both reset and step, or none"
+                told = (
+                    f"environment {i} {has} info[{INFO_KEY!r}] at {call}, unlike at the first reset"
                 )
+                raise SilemError(f"{told}; all must supply it from both reset and step, or none")
         rows = [infos[i][INFO_KEY] if self._in_infos else observations[i] for i in which]
         try:
             features = np.array(rows)
@@ -388,27 +388,23 @@ class LearnerFeatures:
             raise SilemError(f"the learner's features are no vectors of numbers but {kind}")
         features = features.astype(np.float32, copy=False).reshape(len(which), -1)
         if features.shape[1] != self.n_features:
-            raise SilemError(
-                f"the demonstrations have {self.n_features} features per state, the learner's "
-                f"environment supplies {features.shape[1]}; both need the same features g(s)"
-            )
+            told = f"the demonstrations have {self.n_features} features per state, the learner's"
+            raise SilemError(f"{told} environment supplies {features.shape[1]}; g must be the same")
         return features
 
 
 def _check_observations(env: VecEnv) -> None:
     """Raise SilemError unless the observations can serve as features."""
     if isinstance(env.observation_space, spaces.Dict):
-        raise SilemError(
-            "a dictionary of observations is no vector of features; the environment must supply"
-            f" info[{INFO_KEY!r}] from reset and step"
-        )
+        told = "a dictionary of observations is no vector of features; the environment must supply"
+        raise SilemError(f"{told} info[{INFO_KEY!r}] from reset and step")
     wrapper, remedy = unwrap_vec_normalize(env), "leave it away"
     changes = "NormalizeObservation" if any(env.env_is_wrapped(NormalizeObservation)) else ""
     if wrapper is not None and wrapper.norm_obs:
         changes, remedy = "VecNormalize", f"{remedy} or pass it norm_obs=False"
     if changes:
-        raise SilemError(
-            f"{changes} changes the observations that are compared with the demonstrations as"
-            f" it goes; {remedy} (the policy normalises its observations itself), or have the"
-            f" environment supply info[{INFO_KEY!r}]"
+        told = f"{changes} changes the observations that are compared with the demonstrations"
+        told += (
+            f" as it goes; {remedy} (the policy normalises its observations itself), or have the"
         )
+        raise SilemError(f"{told} environment supply info[{INFO_KEY!r}]")

@@ -233,13 +233,12 @@ class PPO(SB3PPO):
         """Have the NumPy twin of the policy, where there is one, agree with the torch policy.
 
         The invariant: the twin owns the memory. Parameters and Adam's moments live in its flat
-        vectors, of which torch's tensors are views, so a step of either side is seen by the other
-        at once, as is what is copied into the tensors (``load_state_dict``). Two things it cannot
-        see: tensors replaced by others (an optimizer's ``load_state_dict``, ``p.data =``, another
-        policy object) and observation moments, of which it keeps a rounded copy. So before every
-        rollout and every update it adopts replaced tensors and copies the moments anew, whoever
-        changed them; between these two nothing may. Where it does not reproduce the policy, there
-        is no twin, and stable-baselines3's own code runs.
+        vectors, of which torch's tensors are views: either side sees the other's steps at once, and
+        what is copied into the tensors. Not so tensors replaced by others (an optimizer's
+        ``load_state_dict``, ``p.data =``, another policy) and observation moments, of which it has
+        a rounded copy. So it adopts and copies those anew before every rollout and every update;
+        between these nothing may change them. Where it does not reproduce the policy, there is no
+        twin, and stable-baselines3's own code runs.
         """
         plain = type(self.rollout_buffer) is RolloutBuffer and self.clip_range_vf is None
         if not plain or not FlatActorCritic.supports(self.policy):

@@ -48,10 +48,8 @@ class Demonstrations:
         n_states = sum(map(len, self.features))
         for name, array in self.extra.items():
             if name in _OWN or array.shape[:1] != (n_states,):
-                raise SilemError(
-                    f"extra array {name!r} has shape {array.shape}; allowed: {n_states} rows, and a"
-                    f" name other than {', '.join(_OWN)}"
-                )
+                told = f"extra array {name!r} has shape {array.shape}; allowed: {n_states} rows"
+                raise SilemError(f"{told}, and a name other than {', '.join(_OWN)}")
 
     def __repr__(self) -> str:
         n, n_states = len(self.features), sum(map(len, self.features))

@@ -218,7 +218,10 @@ def demonstrate(
             n, whose = len(there.features), there.expert_run_id or "another expert"
             if whose != record.run_id or n != n_trajectories:
                 told = f"{path} holds {n} trajectories of {whose} already"
-                raise SilemError(f"{told}; {runs.instead_of(path)}")
+                again = (
+                    f"silem demonstrations --run {record.run_id} --trajectories {n_trajectories} "
+                )
+                raise SilemError(f"{told}; {runs.instead_of(path, again if name == body else '')}")
             if demos.is_published(name):
                 return path
         else:

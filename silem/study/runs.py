@@ -49,6 +49,8 @@ CURVE_COLUMNS = (
 """Of a learning curve, which has one row per iteration."""
 ALWAYS = 10  # so many first columns stand in every published curve, a later one if it has numbers
 MAX_ROWS = 200  # of a published curve
+Shown = tuple[Demonstrations | None, str]
+"""A run's demonstrations and their file's SHA-256; None and "" for no imitator."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -375,10 +377,8 @@ def run(
     named = namesake(config.budget, bodies.get(config.body).family)
     differs = [n for n, count in vars(config.budget).items() if getattr(named, n) != count]
     if differs not in ([], ["n_trials"]):  # it would pass for evidence; old records may differ
-        raise SilemError(
-            f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r};"
-            f" give it a name of its own, which begins with none of {', '.join(BUDGETS)}"
-        )
+        told = f"budget {config.budget.name!r} has another {', '.join(differs)} than {named.name!r}"
+        raise SilemError(f"{told}; give it a name of its own, begun unlike {', '.join(BUDGETS)}")
     shown = load_demonstrations(config)
     with stoppable(), files.lock(folder / LOCK):
         for place in {folder, _home(config)}:
@@ -401,7 +401,7 @@ def run(
             gc.collect()
 
 
-def _make(config: RunConfig, shown: Any, progress: bool, until: float, most: float) -> RunRecord:
+def _make(config: RunConfig, shown: Shown, progress: bool, until: float, most: float) -> RunRecord:
     """Make a run, from its checkpoint where there is one, and record it where its budget says."""
     import torch  # here, so that looking runs up does not load it
 
@@ -468,12 +468,8 @@ def _write_outcome(folder: Path, model: "PPO", curve: np.ndarray, run_id: str) -
     return {name: files.sha256(folder / name) for name in names}
 
 
-def load_demonstrations(config: RunConfig) -> tuple[Demonstrations | None, str]:
-    """Return a run's demonstrations and their file's SHA-256; None and "" for no imitator.
-
-    Raises SilemError: they are missing (the message says how to make them), too few, or not as
-    published.
-    """
+def load_demonstrations(config: RunConfig) -> Shown:
+    """Return what a run is shown; SilemError if that is missing, too little or not as published."""
     name = config.demonstrations
     if not name:
         return None, ""

@@ -122,17 +122,16 @@ def settings(
 
     ``SILEM("MlpPolicy", env, demonstrations, **silem.settings("HC2"))`` learns as a run of that
     cell does: by the paper's best combination where it prints one, this project's choice elsewhere.
-    A run adds the first ``n_trajectories`` of the demonstrations, the budget's environments with
-    what the body, ``clip_actions`` and ``starts`` say of them, and new episodes at checkpoints.
+    A run adds its first ``n_trajectories`` of the demonstrations, the budget's environments (with
+    the body's parameters, ``clip_actions`` and ``starts``), and new episodes at checkpoints.
 
     Raises SilemError: As there; the method learns nothing; or only a run takes one of ``hyper``.
     """
     config = RunConfig.create(body, method, None, budget, seed, **hyper)
     if not METHODS[method].algorithm:
         raise SilemError(f"method {method!r} learns nothing, so it has no settings")
-    if runs_own := hyper.keys() & {"study", *_OF_RUNS, *config.parameters}:
-        told = ", ".join(sorted(runs_own))
-        raise SilemError(f"{told}: no argument of the class; a run's `RunConfig.create` takes it")
+    if own := hyper.keys() & {"study", *_OF_RUNS, *config.parameters}:
+        raise SilemError(f"{', '.join(sorted(own))}: no argument of the class but a RunConfig's")
     return arguments(config)
 
 

@@ -59,11 +59,9 @@ def check(configs: Sequence[RunConfig]) -> None:
     for config in configs:
         for expert in experts_of(config) if not runs.finished(config) else ():
             if expert.run_id not in planned and not runs.is_finished(expert):
-                raise SilemError(
-                    f"{config.run_id} needs demonstrations of {config.demonstrations}, and the"
-                    f" expert {expert.run_id} is neither finished nor asked for; first:"
-                    f" {expert.command}"
-                )
+                told = f"{config.run_id} needs demonstrations of {config.demonstrations}, and the"
+                told += f" expert {expert.run_id} is neither finished nor asked for"
+                raise SilemError(f"{told}; first: {expert.command}")
     files.check_locks(paths.runs_dir())
 
 

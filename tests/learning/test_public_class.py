@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
 import os
 import pickle
 import warnings
@@ -25,6 +27,7 @@ import silem
 from silem import SILEM, TPIL, GAIfO, SilemError
 from silem.algorithms.gaifo import SurvivalWarning
 from silem.algorithms.networks import RunningNormalizer
+from silem.study.settings import HyperParameters
 
 DEMOS = expert_of_point_mass()
 SMALL = dict(n_steps=60, batch_size=60, seed=0)
@@ -531,6 +534,13 @@ def test_load_refuses_what_does_not_fit(arguments: dict, message: str, tmp_path)
         SILEM.load(tmp_path / "model.zip", **arguments)
 
 
+def test_defaults_are_those_of_runs_but_for_the_decay_which_is_a_budgets() -> None:
+    runs = {field.name: field.default for field in dataclasses.fields(HyperParameters)}
+    given = [inspect.signature(made.__init__).parameters for made in (GAIfO, SILEM, TPIL)]
+    own = {name: p.default for parameters in given for name, p in parameters.items()}
+    assert {n for n in own.keys() & runs.keys() if own[n] != runs[n]} == {"transform_lr_decay"}
+
+
 @pytest.mark.parametrize(("saved", "read"), [(SILEM, GAIfO), (GAIfO, SILEM), (TPIL, silem.PPO)])
 def test_load_says_that_another_class_saved_a_file(saved: type, read: type, tmp_path) -> None:
     point_mass(saved).save(tmp_path / "model.zip")
@@ -792,6 +802,11 @@ def test_exported_policies_act_alike_and_learn_on(env_id: str, settings: dict, t
     plain.learn(120)
     changed = zip(policy.parameters(), model.policy.parameters(), strict=True)
     assert any(not th.equal(a, b) for a, b in changed)
+    keeper = silem.PPO("MlpPolicy", env, **SMALL)
+    keeper.policy = plain.policy
+    keeper.export_policy(tmp_path / "policy.safetensors")
+    kept = silem.load_policy(tmp_path / "policy.safetensors").predict(obs, deterministic=True)[0]
+    np.testing.assert_allclose(kept, plain.predict(obs, deterministic=True)[0], rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -370,7 +370,10 @@ def test_trials_of_the_random_policy_differ() -> None:
 def test_demonstrations_of_an_expert(
     data: Path, finished: dict[str, RunRecord], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(SilemError, match="trajectories of walks already; replace it with --force"):
+    command = f"silem demonstrations --run {finished['ppo'].run_id} --trajectories 1 --force"
+    with pytest.raises(
+        SilemError, match=f"trajectories of walks already; replace it with {command}"
+    ):
         demonstrate(finished["ppo"], 1)
     path = demonstrate(finished["ppo"], 1, force=True)
     made = Demonstrations.load("HC0")
