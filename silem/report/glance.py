@@ -13,7 +13,7 @@ import pandas as pd
 
 from silem.bodies.body import MAX_STEPS
 from silem.bodies.humanoid import DEMONSTRATOR_SPEED_M_S
-from silem.report import claims, results, scores, style
+from silem.report import claims, results, scores, style, tables
 from silem.report.pages import walking
 from silem.report.scores import normalised_scores
 from silem.report.web import BODIES
@@ -41,6 +41,9 @@ def blocks(root: str = "") -> dict[str, str]:
     for name, method in (("silem", "silem"), ("minus", "silem-minus")):
         values[f"{name}_scores"] = _means(runner, method, "normalised", 2)
         values[f"{name}_returns"] = _means(humanoid, method, "return_mean", 0)
+    values["same"] = ", ".join(
+        f"{tables.same_settings(runner, body)} on {body}" for body in ("HC1", "HC2")
+    )
     values["unpenalised_upright"] = walking.without_penalty(humanoid, "upright")
     values["unpenalised_returns"] = walking.without_penalty(runner, "return_mean")
     values["tables"] = "\n\n".join(map(_matrix, frames.values()))

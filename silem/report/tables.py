@@ -111,6 +111,14 @@ def means(
     return pd.DataFrame(rows)
 
 
+def same_settings(frame: pd.DataFrame, body: str) -> str:
+    """Write SILEM's return less that of SILEM⁻ with SILEM's settings, with its interval."""
+    same = results.load_records("same-settings", results.context(frame)[1])
+    cells = results.cell(frame, "silem", body), results.cell(same, "silem-minus", body)
+    ours, others = (cell["return_mean"] for cell in cells)
+    return style.estimate(ours.mean() - others.mean(), statistics.interval(ours, others))
+
+
 def beside(what: str, frames: Mapping[str, pd.DataFrame], methods: Sequence[str]) -> pd.DataFrame:
     """Return, as text, the cells of two tables beside each other, on the seeds that both plan.
 
