@@ -69,20 +69,25 @@ def test_the_summary_counts_verdicts_and_says_what_the_penalty_does(made_up: Pat
     (without,) = (c for c in cells("no-gradient-penalty") if (c.method, c.body) == ("silem", "HC1"))
     for seed, goal in enumerate((300.0, 500.0)):
         synthetic.write_record(without.config("book", seed), goal)
+    (alike,) = (c for c in cells("same-settings") if c.body == "HC1")
+    for seed, goal in enumerate((950.0, 1_000.0, 1_050.0)):
+        synthetic.write_record(alike.config("book", seed), goal)
     text = glance.blocks("../")["at a glance"]
     assert "Of [79 claims](../notebooks/07_scorecard.ipynb)" in text and "61 of these" in text
     assert re.search(r" 0.(89|9\d) on HC1", text)
     assert re.search(r" 39\d \(1,35\d with it\) on HC1", text)  # near 400 and 0.9 of 1,500
     assert "– on HC0" not in text.partition("gradient penalty")[0]
+    # 1,350 less 1,000, and the interval that SILEM's own spread asks for
+    assert re.search(r"SILEM⁻ is 3[45]\d \[.+ to \d+\] on HC1, – on HC2", text)
     assert "returns 840 on Humanoid, – on HumanoidR, – on Atlas of at most 1,000" in text
 
 
 def test_the_box_counts_trainings_and_hours(made_up: Path) -> None:
     # 13 cells of HalfCheetah are trained, five times each, and one humanoid, 420 s each.
-    assert "66 finished trainings" in (box := glance.blocks()["claims"])
+    assert "66 finished trainings" in (box := glance.blocks()["at a glance"])
     assert f"and {66 * 420 / 3600:.1f} hours of wall time, on" in box
     assert "(1 to 5 in each cell" in box
-    assert "](../book/figures/halfcheetah.svg)" in glance.blocks("../")["claims"]
+    assert "](../book/figures/halfcheetah.svg)" in glance.blocks("../")["at a glance"]
 
 
 def test_hours_are_processor_time_where_it_was_counted(
@@ -91,10 +96,11 @@ def test_hours_are_processor_time_where_it_was_counted(
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     first, second = (RunConfig.create("HC0", "ppo", budget="book", seed=s) for s in (0, 1))
     synthetic.write_record(first, processor_time_s=3 * 3600.0)
-    assert "and 3.0 CPU hours, on" in glance.blocks()["claims"]  # no hours by the clock: 420 s
+    box = glance.blocks()["at a glance"]
+    assert "and 3.0 CPU hours, on" in box  # no hours by the clock: 420 s
     synthetic.write_record(second)
     words = "3.0 CPU hours, and 0.1 hours of wall time for one older trial without a CPU count"
-    assert f"{words}, on one processor core" in glance.blocks()["claims"]
+    assert f"{words}, on one processor core" in glance.blocks()["at a glance"]
 
 
 def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
@@ -106,7 +112,7 @@ def test_the_films_caption_says_how_many_stand_behind_it(made_up: Path) -> None:
 def test_without_any_run_the_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SILEM_DATA_DIR", str(tmp_path))
     made = glance.blocks()
-    assert "0 finished trainings" in made["claims"] and ": SILEM no run" in made["film"]
+    assert "0 finished trainings" in made["at a glance"] and ": SILEM no run" in made["film"]
     assert "– on HC0" in made["at a glance"]
 
 
