@@ -403,8 +403,6 @@ def _check_observations(env: VecEnv) -> None:
     if wrapper is not None and wrapper.norm_obs:
         changes, remedy = "VecNormalize", f"{remedy} or pass it norm_obs=False"
     if changes:
-        told = f"{changes} changes the observations that are compared with the demonstrations"
-        told += (
-            f" as it goes; {remedy} (the policy normalises its observations itself), or have the"
-        )
+        told = f"{changes} changes the observations that are compared with the demonstrations as it"
+        told += f" goes; {remedy} (the policy normalises its observations itself), or have the"
         raise SilemError(f"{told} environment supply info[{INFO_KEY!r}]")
