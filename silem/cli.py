@@ -390,6 +390,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     _option("--budget", default="book", help=_USUAL),
     _option("--trial", type=_TRIAL, help="that trial's expert instead of the best"),
     _option("--run", metavar="RUN_ID", help="record this run instead"),
+    _option("--name", help="what --demonstrations will find them by; default: the body's"),
     _option("--trajectories", type=_COUNT, default=20, help=_USUAL),
     _option("--force", action="store_true", help="replace another expert's"),
 )
@@ -397,12 +398,13 @@ def _demonstrations(options: argparse.Namespace) -> None:
     """Record an expert's demonstrations."""
     if bool(options.run) == bool(options.body):
         raise SilemError("demonstrations needs either --body or --run")
-    name = None
+    name = options.name
     if options.run:
         record = runs.get(options.run)
     else:
         record = runs.demonstrator(studies.experts(options.body, options.budget, options.trial))
-        name = None if options.trial is None else f"{options.body}_s{options.trial}"
+        if options.trial is not None:
+            name = name or f"{options.body}_s{options.trial}"
     from silem.study import evaluate
 
     how = {"name": name, "force": options.force, "progress": not options.quiet}

@@ -15,13 +15,16 @@ from typing import NamedTuple, TypeAlias
 
 import gymnasium
 import numpy as np
-import pybullet
-import pybullet_data
 
 from silem.bodies import BulletBody, measure
 from silem.bodies.body import AT_LIMIT, VELOCITY_SCALE
 from silem.envs import base
 from silem.util.errors import SilemError
+from silem.util.offscreen import silence
+
+with silence(2):  # its greeting
+    import pybullet
+    import pybullet_data
 
 JOINT_NOISE_RAD = 0.1  # joints start within +- this of the model's pose
 OBSERVATION_BOUND = 5.0  # observations are clipped to +- this

@@ -40,7 +40,7 @@ class Camera:
         span_m = body.view.span_m if span_m is None else span_m
         if min(width, height) < 1 or not span_m > 0:
             raise SilemError(f"picture of {width} x {height} pixels, {span_m} m: not positive")
-        self._model = _scene(body, width, height)
+        self._body, self._model = body, _scene(body, width, height)
         self._data = mujoco.MjData(self._model)
         self._at_rest = _at_rest(body, self._model)
         x, y, z = body.view.direction
@@ -73,6 +73,11 @@ class Camera:
         data.light_xpos[:] = data.xpos[1] + _LIGHT_FROM_M
         self._camera.lookat[:2] = data.xpos[1, :2]
         self._renderer.update_scene(data, self._camera)
+        if self._body.slope_deg:  # the picture's vertical is gravity's, not the floor's
+            for camera in self._renderer.scene.camera:
+                up, ahead = np.array(self._body.up), camera.forward
+                up -= up @ ahead * ahead
+                camera.up = up / np.linalg.norm(up)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
         return self._renderer.render()
 

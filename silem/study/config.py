@@ -71,6 +71,7 @@ class RunConfig:
         for kind, name in (("study", study), ("body", body), ("demonstrations", demonstrations)):
             if name or kind != "demonstrations":
                 check_name(kind, name)
+        demonstrations = demonstrations.removesuffix(".npz")
         resolved = settings.resolve(body, method, demonstrations)
         for name in overrides:
             choose(f"hyper-parameter of {method}", name, resolved)

@@ -218,10 +218,9 @@ def demonstrate(
             n, whose = len(there.features), there.expert_run_id or "another expert"
             if whose != record.run_id or n != n_trajectories:
                 told = f"{path} holds {n} trajectories of {whose} already"
-                again = (
-                    f"silem demonstrations --run {record.run_id} --trajectories {n_trajectories} "
-                )
-                raise SilemError(f"{told}; {runs.instead_of(path, again if name == body else '')}")
+                again = f"silem demonstrations --run {record.run_id} --trajectories"
+                again += f" {n_trajectories} {f'--name {name} ' if name != body else ''}"
+                raise SilemError(f"{told}; {runs.instead_of(path, again)}")
             if demos.is_published(name):
                 return path
         else:

@@ -62,7 +62,7 @@ class RunRecord:
     config: dict[str, Any]  #: `RunConfig.to_dict`
     evaluation: dict[str, Any]  #: a `silem.study.evaluate.Evaluation`
     training: dict[str, Any]  #: ``n_steps``, ``steps_per_s``
-    provenance: dict[str, Any]  #: of the last session, and ``earlier_commits`` of those before
+    provenance: dict[str, Any]  #: of the last session; ``earlier_...`` of those before
     demonstrations_sha256: str | None  #: of their file; None where none were used
     wall_time_s: float  #: of training and evaluation, over all sessions
     files: dict[str, str]  #: SHA-256 of every file beside the record, by name
@@ -412,8 +412,10 @@ def _make(config: RunConfig, shown: Shown, progress: bool, until: float, most: f
     torch.set_num_threads(1)
     folder, source, (demonstrations, sha) = run_folder(config), provenance(), shown
     start = Checkpoint.load(folder / CHECKPOINT, config, sha)
-    commit = source["git_commit"] or "unknown"
-    start = dataclasses.replace(start, commits=tuple(dict.fromkeys([*start.commits, commit])))
+    commit, processor = source["git_commit"] or "unknown", source["machine"]["processor"]
+    commits = tuple(dict.fromkeys([*start.commits, commit]))
+    processors = tuple(dict.fromkeys([*start.processors, processor]))
+    start = dataclasses.replace(start, commits=commits, processors=processors)
     home, training = _home(config), {"n_steps": 0, "steps_per_s": None}
     policy: Any
     curve: np.ndarray | None = None
@@ -429,7 +431,8 @@ def _make(config: RunConfig, shown: Shown, progress: bool, until: float, most: f
                 env.close()
             n_steps = config.budget.n_steps
             training = {"n_steps": n_steps, "steps_per_s": n_steps / start.spent()["wall_time_s"]}
-            source["earlier_commits"] = [c for c in start.commits if c != source["git_commit"]]
+            source["earlier_commits"] = [one for one in commits if one != commit]
+            source["earlier_processors"] = [one for one in processors if one != processor]
         result = evaluate(
             policy, config.learner, config.budget.n_eval_episodes, progress=progress,
             model=policy if isinstance(policy, GAIfO) else None, **task_options(config),

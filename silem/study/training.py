@@ -165,6 +165,7 @@ class Checkpoint:
     wall_time_s: float  # over all sessions, as what follows
     processor_time_s: float | None  # None where an earlier session did not count
     commits: tuple[str, ...]  # of the code
+    processors: tuple[str, ...]  # older checkpoints do not say
     demonstrations_sha256: str  # of their file; "" where none are used
     curve: np.ndarray  # (iteration, columns), NaN for blank
     model: dict[str, np.ndarray]  # its `state_arrays`
@@ -202,14 +203,15 @@ class Checkpoint:
         """
         if not path.exists():
             no_curve = np.empty((0, len(CURVE_COLUMNS)))
-            return cls(config.run_id, 0, 0.0, 0.0, (), demonstrations_sha256, no_curve, {})
+            return cls(config.run_id, 0, 0.0, 0.0, (), (), demonstrations_sha256, no_curve, {})
         try:
             arrays, metadata = files.read_tensors(path)
             if metadata.pop(_SHA256, "") != _digest(arrays, metadata):
                 raise SilemError(f"the checksum of {path} differs")
             told: dict[str, Any]
             told = {n: t if n in _TEXTS else json.loads(t) for n, t in metadata.items()}
-            told["commits"], curve = tuple(told["commits"]), arrays.pop(_CURVE)
+            told |= {name: tuple(told.get(name, ())) for name in ("commits", "processors")}
+            curve = arrays.pop(_CURVE)
             model = {name.removeprefix(_MODEL): array for name, array in arrays.items()}
             found = cls(**told, curve=curve, model=model)
             if found.run_id != config.run_id:
@@ -221,7 +223,7 @@ class Checkpoint:
             return found
         except (KeyError, TypeError, ValueError) as error:  # a SilemError is one
             advice = "move it away, or run with --force, to start this run anew"
-            raise SilemError(f"damaged checkpoint: {reason(error)}; {advice}") from error
+            raise SilemError(f"unusable checkpoint: {reason(error)}; {advice}") from error
 
 
 def _digest(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:

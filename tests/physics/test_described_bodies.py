@@ -13,6 +13,7 @@ from silem import bodies
 from silem.bodies import BulletBody
 from silem.envs import SingleEnv, make_vec
 from silem.envs.bullet import LocomotionTask, State, _felt
+from silem.envs.camera import Camera
 from silem.motion.features import FEATURES
 from silem.report.film import why_no_pictures
 from silem.util.errors import SilemError
@@ -111,6 +112,21 @@ def test_a_humanoid_on_a_slope_feels_the_vertical():
     simulation.advance(np.zeros((1, 21)))
     fall = simulation.read().com_velocity[0]
     np.testing.assert_allclose(fall / np.linalg.norm(fall), -np.array(env.body.up), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_a_picture_of_a_slope_has_gravitys_vertical(name: str):
+    if why_no_pictures(name):
+        pytest.skip("nothing can be drawn here")
+    body = bodies.get(name)
+    for shown, up in ((body, body.up), (dataclasses.replace(body, slope_deg=0.0), (0, 0, 1))):
+        camera = Camera(shown, 64, 48)
+        camera.picture()
+        for eye in camera._renderer.scene.camera:
+            right = np.cross(eye.forward, eye.up)
+            assert abs(right @ up) < 1e-6 < eye.up @ up
+            assert eye.up @ eye.forward == pytest.approx(0.0, abs=1e-6)
+        camera.close()
 
 
 def test_every_environment_has_the_body_it_was_given():

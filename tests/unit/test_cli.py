@@ -308,6 +308,11 @@ finally:
     assert "build time" not in done.stdout  # PyBullet's greeting
 
 
+def test_pybullets_greeting_is_not_heard(data: Path) -> None:
+    done = python("-c", "import silem.envs.bullet, sys; assert 'pybullet' in sys.modules", cwd=data)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 def test_the_package_loads_lazily_and_knows_what_it_offers(data: Path) -> None:
     code = f"""
 import sys, silem, gymnasium

@@ -119,6 +119,11 @@ def test_the_run_id_is_readable_and_depends_on_what_matters_alone() -> None:
     assert len(hashes) == len(others) + 1
 
 
+def test_a_file_of_demonstrations_has_one_name() -> None:
+    plain, ending = (RunConfig.create("HC1", "silem", name) for name in ("HC0", "HC0.npz"))
+    assert ending.run_id == plain.run_id
+
+
 def test_an_experts_identity_does_not_depend_on_how_discriminators_are_trained() -> None:
     expert = create("HC0", "ppo")
     assert not any("disc" in name or "transform" in name for name in expert.to_dict()["hyper"])

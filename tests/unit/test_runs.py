@@ -227,7 +227,8 @@ def checkpoint(config: RunConfig, iteration: int) -> Checkpoint:
         curve_row(i, i * config.budget.steps_per_iteration, {}) for i in range(1, iteration + 1)
     ]
     weights = {"policy/w": np.ones(3, dtype=np.float32)}
-    return Checkpoint(config.run_id, iteration, 1.0, 0.5, ("abc",), "", np.array(rows), weights)
+    seen = ("abc",), ("a CPU",)
+    return Checkpoint(config.run_id, iteration, 1.0, 0.5, *seen, "", np.array(rows), weights)
 
 
 def test_any_changed_byte_of_a_checkpoint_is_noticed(tmp_path: Path) -> None:
@@ -252,11 +253,34 @@ def test_a_checkpoint_that_says_something_else_is_noticed(tmp_path: Path) -> Non
         {k: v for k, v in about.items() if k != "sha256"},
     ):
         files.write_tensors(path, arrays, changed)
-        with pytest.raises(SilemError, match=r"damaged checkpoint.*--force"):
+        with pytest.raises(SilemError, match=r"unusable checkpoint.*--force"):
             Checkpoint.load(path, config, "")
     dataclasses.replace(checkpoint(config, 4), curve=np.zeros((4, 9))).save(path)
     with pytest.raises(SilemError, match="of another version"):
         Checkpoint.load(path, config, "")
+
+
+def test_a_checkpoint_of_before_processors_were_kept_is_gone_on_with(tmp_path: Path) -> None:
+    path, config = tmp_path / CHECKPOINT, small("ppo")
+    checkpoint(config, 4).save(path)
+    arrays, about = files.read_tensors(path)
+    older = {k: v for k, v in about.items() if k not in ("sha256", "processors")}
+    files.write_tensors(path, arrays, older | {"sha256": training._digest(arrays, older)})
+    found = Checkpoint.load(path, config, "")
+    assert (found.commits, found.processors) == (("abc",), ())
+
+
+def test_a_run_names_every_machine_that_it_was_on(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, here = small("ppo"), runs.provenance()
+    there = here | {"machine": here["machine"] | {"processor": "elsewhere"}, "git_commit": "abc"}
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "provenance", lambda: there)
+        interrupted(config, monkeypatch)
+    found = runs.run(config, progress=False).provenance
+    assert (found["earlier_commits"], found["earlier_processors"]) == (["abc"], ["elsewhere"])
+    assert found["machine"] == here["machine"]
 
 
 def test_a_damaged_or_foreign_checkpoint_is_refused_and_kept(
@@ -266,7 +290,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused_and_kept(
     path = interrupted(config, monkeypatch)
     whole = path.read_bytes()
     foreign = (finished["ppo"].folder / CHECKPOINT).read_bytes()
-    for bad, message in ((whole[:-9], "damaged checkpoint"), (foreign, "is a checkpoint of ppo_")):
+    for bad, message in ((whole[:-9], "unusable checkpoint"), (foreign, "is a checkpoint of ppo_")):
         path.write_bytes(bad)
         with pytest.raises(SilemError, match=rf"{message}.*--force"):
             runs.run(config, progress=False)
@@ -381,6 +405,11 @@ def test_demonstrations_of_an_expert(
     assert [array.shape for array in made.features] == [(1001, bodies.get("HC0").observation_size)]
     before = path.stat().st_mtime_ns
     assert demonstrate(finished["ppo"], 1).stat().st_mtime_ns == before  # nothing to do
+    shutil.copy(path, path.with_name("HC0_s3.npz"))
+    with pytest.raises(SilemError) as error:
+        demonstrate(finished["ppo"], 2, name="HC0_s3")
+    advised = cli.parser().parse_args(str(error.value).partition("with silem ")[2].split())
+    assert (advised.name, advised.trajectories, advised.force) == ("HC0_s3", 2, True)
     manifest = path.with_name(demonstrations.MANIFEST)
     whole = manifest.read_text()
     manifest.unlink()  # as if killed between the two writes
