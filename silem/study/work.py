@@ -24,7 +24,7 @@ from silem.study import runs
 from silem.study.config import RunConfig
 from silem.study.runs import PROGRESS, RunRecord
 from silem.study.settings import Budget
-from silem.study.studies import experts, narrowed
+from silem.study.studies import STUDIES, experts, narrowed
 from silem.util import files, paths
 from silem.util.errors import SilemError, reason
 
@@ -56,12 +56,22 @@ def check(configs: Sequence[RunConfig]) -> None:
     was made with other demonstrations than those there are now; or there are no locks.
     """
     planned = {config.run_id for config in configs}
-    for config in configs:
-        for expert in experts_of(config) if not runs.finished(config) else ():
-            if expert.run_id not in planned and not runs.is_finished(expert):
-                told = f"{config.run_id} needs demonstrations of {config.demonstrations}, and the"
-                told += f" expert {expert.run_id} is neither finished nor asked for"
-                raise SilemError(f"{told}; first: {expert.command}")
+    lacking = [
+        (config, expert)
+        for config in configs
+        for expert in (experts_of(config) if not runs.finished(config) else ())
+        if expert.run_id not in planned and not runs.is_finished(expert)
+    ]
+    if lacking:
+        config, expert = lacking[0]
+        names = " ".join(dict.fromkeys(needed.body for _, needed in lacking))
+        first = f"silem work {expert.study} --method ppo --body {names}"
+        first += f" --budget {expert.budget.base_name}"
+        raise SilemError(
+            f"{config.run_id} needs demonstrations of {config.demonstrations}, and the expert"
+            f" {expert.run_id} is neither finished nor asked for; first:"
+            f" {first if expert.study in STUDIES else expert.command}"
+        )
     files.check_locks(paths.runs_dir())
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import synthetic_records as synthetic
 
-from silem import paper
+from silem import cli, paper
 from silem.cli import main
 from silem.motion import demonstrations
 from silem.report import results
@@ -271,6 +271,14 @@ def test_an_imitator_without_an_expert_is_refused_before_anything_starts(data: P
     with pytest.raises(SilemError, match=r"needs demonstrations of HC0.*--method ppo"):
         work.work(study_configs("halfcheetah", TINY, 1, method=["random", "silem"]))
     assert list(data.iterdir()) == []
+
+
+def test_one_command_is_named_that_makes_all_experts_who_are_not_asked_for(data: Path) -> None:
+    first_trials = study_configs("halfcheetah", "book", 1)
+    with pytest.raises(SilemError, match=r"first: silem work halfcheetah --method ppo") as error:
+        work.check(first_trials)
+    advised = cli.parser().parse_args(str(error.value).partition("first: silem ")[2].split())
+    work.check([*cli._configs(advised), *first_trials])
 
 
 def test_no_run_is_started_that_cannot_reach_its_next_checkpoint(made: list[str]) -> None:
