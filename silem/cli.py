@@ -62,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     bodies.load(module)
                 options.command(options)
             finally:
-                sys.stdout.flush()  # while a closed pipe can still be answered for
+                if sys.stdout:  # None where it is closed
+                    sys.stdout.flush()  # while a closed pipe can still be answered for
     except SilemError as error:
         return _end(BAD_REQUEST, str(error))
     except KeyboardInterrupt as interrupt:
@@ -178,11 +179,12 @@ _ONLY = tuple(
     _option(f"--{what}", nargs="+", help=f"only cells of these (each a {what})")
     for what in ("body", "method")
 )
+_RETRY = _option("--retry", action="store_true", help="also what has failed before")
 _LOOP = (
     _option("--workers", type=_whole(1, 1024), metavar="K",
             help="so many processes, with one bar; default: this one alone"),
     _option("--minutes", type=_whole(1, 10**6), metavar="N", help="stop at a checkpoint by then"),
-    _option("--retry", action="store_true", help="also what has failed before"),
+    _RETRY,
 )  # fmt: skip
 _RUN_ID = _option("run_id", metavar="RUN_ID")
 
@@ -256,6 +258,11 @@ def _configs(options: argparse.Namespace) -> list[RunConfig]:
     return [c for study in options.studies for c in studies.study_configs(study, *asked, **only)]
 
 
+def _forgive(options: argparse.Namespace, configs: Sequence[RunConfig]) -> None:
+    for config in configs if options.retry else ():
+        runs.forgive(config)
+
+
 def _words(options: argparse.Namespace) -> list[str]:
     """Return the command line of a loop that does what these options ask for."""
     winner = ["--winner"] if getattr(options, "winner", False) else []
@@ -296,8 +303,7 @@ def _work(options: argparse.Namespace) -> None:
         _print_evaluation(record.run_id, record.evaluation)
 
     configs, progress = _configs(options), not options.quiet
-    for config in configs if options.retry else ():
-        runs.forgive(config)
+    _forgive(options, configs)
     if options.workers:
         work.crew(_words(options), configs, options.workers, progress)
     else:
@@ -336,7 +342,7 @@ def _search(options: argparse.Namespace) -> None:
     _option("--on", required=True, metavar="ENGINE", help="slurm, htcondor or dask"),
     _option("--jobs", type=_whole(1, 10**5), metavar="N", help="work loops at a time; default: 4"),
     _option("--options", type=Path, metavar="FILE", help="a TOML file that tells the engine more"),
-    _option("--print", action="store_true", help="show what would be submitted"),
+    _option("--print", action="store_true", help="show what would be submitted"), _RETRY,
 )  # fmt: skip
 def _submit(options: argparse.Namespace) -> None:
     """Hand work loops over to a cluster."""
@@ -350,6 +356,7 @@ def _submit(options: argparse.Namespace) -> None:
         print(submit.submission(options.on, words, said), end="")
         return
     work.check(configs)
+    _forgive(options, configs)
     print(submit.submit(options.on, words, said))
 
 

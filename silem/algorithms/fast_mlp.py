@@ -38,6 +38,7 @@ class Losses(NamedTuple):
 
     policy_gradient_loss: float
     value_loss: float
+    entropy_loss: float
     approx_kl: float
     clip_fraction: float
 
@@ -179,6 +180,7 @@ class FlatActorCritic:
         return Losses(  # sums: NumPy's mean takes longer than all of these
             policy_gradient_loss=-float(np.minimum(surrogate, clipped).sum() / size),
             value_loss=float((error**2).sum() / size),
+            entropy_loss=-float(self._log_std.sum()) - len(std) * (0.5 + _HALF_LOG_2PI),
             approx_kl=float((ratio - 1.0 - log_ratio).sum() / size),
             clip_fraction=np.count_nonzero(np.abs(ratio - 1.0) > clip_range) / size,
         )

@@ -175,9 +175,6 @@ class PPO(SB3PPO):
         reset the environments begins with new episodes. Raises SilemError: the callback has reset
         the environments in the middle of the rollout.
         """
-        if self._was_reset():
-            self._last_obs = env.reset()  # type: ignore[assignment]
-            self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         self._refresh_twin()
         self.policy.set_training_mode(False)
         rollout_buffer.reset()
@@ -186,6 +183,9 @@ class PPO(SB3PPO):
         if self.use_sde:
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
+        if self._was_reset():
+            self._last_obs = env.reset()  # type: ignore[assignment]
+            self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         self._begin_rollout(env)
         # A rollout that a callback or an error breaks off leaves the environments ahead of what
         # the model saw of them: `learn` begins with new episodes then.
@@ -286,6 +286,8 @@ class PPO(SB3PPO):
         last_values = th.from_numpy(self._values(self._last_obs))
         assert self._last_episode_starts is not None
         buffer.compute_returns_and_advantage(last_values, self._last_episode_starts)
+        if not np.isfinite(buffer.returns).all():  # NumPy would go on, with a policy that stands
+            raise SilemError("the rewards or the value network's returns hold NaN or infinity")
 
     def _sample(self, observations: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if self._fast is not None:
@@ -329,6 +331,7 @@ class PPO(SB3PPO):
         rollout = Batch(fast.normalize(flat(buffer.observations)), flat(buffer.actions), *scalars)
         losses: list[Losses] = []
         for _ in range(self.n_epochs):
+            last_epoch = len(losses)
             for batch in self._minibatches(rollout):
                 losses.append(fast.gradient(batch, clip_range, self.ent_coef, self.vf_coef))
                 far = self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl
@@ -338,7 +341,9 @@ class PPO(SB3PPO):
             self._n_updates += 1
             if far:
                 break
-        self._log_update(losses, clip_range)
+        if not np.isfinite(fast.params).all():
+            raise SilemError("the policy diverged: its parameters hold NaN or infinity")
+        self._log_update(losses, losses[last_epoch:], clip_range)
 
     def _minibatches(self, rollout: Batch) -> Iterator[Batch]:
         """Yield one epoch's minibatches, in random order."""
@@ -353,14 +358,16 @@ class PPO(SB3PPO):
                 advantages = advantages / (std + 1e-8)
             yield batch._replace(advantages=advantages)
 
-    def _log_update(self, losses: list[Losses], clip_range: float) -> None:
-        """Log what stable-baselines3's PPO does, under its names."""
+    def _log_update(
+        self, losses: list[Losses], last_epoch: list[Losses], clip_range: float
+    ) -> None:
+        """Log what stable-baselines3's PPO does, under its names: of the KL, the last epoch's."""
         log_std, buffer = self.policy.log_std.detach().numpy(), self.rollout_buffer
-        entropy = float(log_std.sum() + len(log_std) * (0.5 + 0.5 * np.log(2 * np.pi)))
-        last = losses[-1].policy_gradient_loss + self.vf_coef * losses[-1].value_loss
+        last = losses[-1]
+        loss = last.policy_gradient_loss + self.ent_coef * last.entropy_loss
         logged = dict(zip(Losses._fields, np.mean(losses, axis=0), strict=True)) | {
-            "entropy_loss": -entropy,
-            "loss": last - self.ent_coef * entropy,
+            "approx_kl": np.mean([each.approx_kl for each in last_epoch]),
+            "loss": loss + self.vf_coef * last.value_loss,
             "std": float(np.exp(log_std).mean()),
             "explained_variance": explained_variance(buffer.values.ravel(), buffer.returns.ravel()),
             "clip_range": clip_range,

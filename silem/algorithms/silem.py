@@ -80,6 +80,14 @@ class SILEM(GAIfO):
         self.transform_l2_form = transform_l2_form
         super().__init__(policy, env, demonstrations, **kwargs)
 
+    @classmethod
+    def load(cls, *args: Any, **kwargs: Any) -> Any:
+        """Load a model as `PPO.load`; how often T steps is kept where its rate decays by that."""
+        model = super().load(*args, **kwargs)
+        if "n_transform_updates" in kwargs and model.transform_lr_decay < 1:
+            raise SilemError("n_transform_updates cannot change: T's steps count its rate's decay")
+        return model
+
     def update_transform(self, tau_c: th.Tensor) -> dict[str, float]:
         """Make N_G steps of line 10 on windows (N, W, F); D's weights stay.
 

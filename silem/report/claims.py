@@ -102,20 +102,22 @@ class Measure:
         if self.less:
             ours, wins = ours - other[0], statistics.wins(*samples)
         if self.per:
-            # The interval of mean - bound * mean expert, over the expert's mean: it holds the
-            # spread of both.
+            # Tested is mean - bound * mean expert: it holds the spread of both.
             unit = other[0] if other[0] > 0 else np.nan
             bound = self.lower if np.isfinite(self.lower) else self.upper
             ours, best = ours / unit, float(ours / samples[1].max(initial=unit))
+            if not np.isnan(unit):
+                ratios = statistics.ratio_interval(*samples)
             samples[1] = bound * samples[1]
         low, high = NO_INTERVAL
         if min(counts.values()) >= MIN_TRIALS:
             low, high = statistics.interval(*samples)
-        interval = bound + low / unit, bound + high / unit
+        tested = bound + low / unit, bound + high / unit
+        interval = ratios if self.per and np.isfinite(tested).all() else tested
         planned, power = results.n_trials(frame), np.nan
         if planned > 1 and self.column != "returns":
             power = statistics.detectable(*samples, n_trials=planned) / unit
-        return Finding(self, ours, interval, counts, power, wins, best)
+        return Finding(self, ours, interval, counts, power, wins, best, tested)
 
     def _label(self, cell: Cell) -> str:
         if self.column == "returns":
@@ -135,6 +137,7 @@ class Finding:
     detectable: float = float("nan")  # from the bound, what the planned trials would have found
     wins: float = float("nan")  # share of pairs of trials in which the first of two cells is higher
     of_best: float = float("nan")  # the score against the best expert
+    tested: Interval | None = None  # against the bound, where that is not `interval`: of a ratio
 
     @property
     def enough(self) -> bool:
@@ -144,7 +147,7 @@ class Finding:
     @property
     def verdict(self) -> tuple[str, str]:
         """The verdict by the module's rule, and why it is undecided if it is."""
-        low, high = self.interval
+        low, high = self.tested or self.interval
         lower, upper = self.measure.lower, self.measure.upper
         few = {name: count for name, count in self.trials.items() if count < MIN_TRIALS}
         if few:

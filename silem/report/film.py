@@ -20,7 +20,6 @@ import numpy as np
 from dm_control.suite import humanoid_CMU
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
-from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
 import silem
@@ -28,7 +27,7 @@ from silem import bodies
 from silem.bodies import Body, MujocoBody
 from silem.envs import Camera
 from silem.motion import demonstrator
-from silem.study.evaluate import Policy, RandomPolicy, load_policy
+from silem.study.evaluate import Policy, RandomPolicy, load_policy, seeded
 from silem.study.runs import RunRecord
 from silem.util import files, seeding
 from silem.util.errors import BOUND, RATE, SilemError, choose, reason
@@ -88,11 +87,9 @@ def rollout(
     frame_s = _STEPS_PER_FRAME * found.control_step_s
     n_steps = (max(1, round(duration_s / frame_s)) - 1) * _STEPS_PER_FRAME
     policy = policy or RandomPolicy(found)
-    reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
-    reseed(seeding.child_seed(seed, "video policy"))
     drawn: dict[str, Any] = {"render_mode": "rgb_array"} if found.engine == "gymnasium" else {}
     made: Any = silem.make_vec(found, 1, seeding.child_seed(seed, "video env"), **drawn)
-    with closing(made) as env:
+    with closing(made) as env, seeded(policy, seeding.child_seed(seed, "video policy")):
         env.picture_size = size
         observations: Any = env.reset()
         try:

@@ -349,7 +349,10 @@ def interval_note(frame: pd.DataFrame, methods: Sequence[str], column: str) -> s
         f" in {100 * failing:.0f} % where one training in five fails"
     )
     if set(methods) - {"ppo", "random"}:
-        note.append("they do not hold the variance of the demonstrator, which all imitators share")
+        note.append(
+            "they do not hold the variance of the demonstrator, which all imitators share, nor that"
+            " of the experts' mean, by which a score divides"
+        )
     return "; ".join(note)
 
 

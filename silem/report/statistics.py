@@ -5,6 +5,7 @@ Scores of a cell have shape (N,).
 """
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +37,39 @@ def interval(*cells: ArrayLike) -> Interval:
     error, freedom = _error(*arrays)
     half = float(stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
     return center - half, center + half
+
+
+def ratio_interval(cell: ArrayLike, unit: ArrayLike) -> Interval:
+    """Return Fieller's 95 % interval of a cell's mean, (N,), in units of another's, (M,), above 0.
+
+    Those ratios are in it of which Welch's interval of ``cell - ratio * unit`` holds 0. An end is
+    infinite where no ratio is too far away: the unit's mean might be 0. NaN as `interval`.
+    """
+    one, other = np.asarray(cell, dtype=np.float64), np.asarray(unit, dtype=np.float64)
+    if min(len(one), len(other)) < 2:
+        return NO_INTERVAL
+    parts = np.array([one.var(ddof=1) / len(one), other.var(ddof=1) / len(other)])
+    freedoms = np.array([len(one) - 1, len(other) - 1])
+
+    def beyond(angle: ArrayLike) -> Any:  # the ratio is the angle's tangent
+        weights = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        shares = weights**2 * parts
+        error = np.sqrt(shares.sum(axis=-1))
+        with np.errstate(divide="ignore", invalid="ignore"):  # no spread at all
+            freedom = np.nan_to_num(error**4 / (shares**2 / freedoms).sum(axis=-1), nan=1.0)
+        quantile = stats.t.ppf((1 + LEVEL) / 2, freedom)
+        return abs(weights @ [one.mean(), -other.mean()]) - quantile * error
+
+    here, ends = np.arctan2(one.mean(), other.mean()), []
+    for edge in (-np.pi / 2, np.pi / 2):
+        angles = np.linspace(here, edge, 2_000)
+        outside = np.flatnonzero(beyond(angles) > 0)
+        between = angles[outside[0] - 1 : outside[0] + 1] if len(outside) and outside[0] else ()
+        if len(between):
+            ends.append(float(np.tan(optimize.brentq(beyond, *between))))
+        else:
+            ends.append(float(np.tan(here)) if len(outside) else float(np.copysign(np.inf, edge)))
+    return ends[0], ends[1]
 
 
 def _error(*cells: np.ndarray, n_trials: int | None = None) -> tuple[float, float]:

@@ -229,7 +229,7 @@ def number(value: float | None, digits: int | None = 0) -> str:
     if value is None or np.isnan(value):
         return DASH
     text = f"{value:,g}".replace("e-0", "e-") if digits is None else f"{value:,.{digits}f}"
-    return text.replace("-", "−")
+    return text.replace("-", "−").replace("inf", "∞")
 
 
 def span(values: Iterable[float], digits: int = 0) -> str:
@@ -241,7 +241,7 @@ def span(values: Iterable[float], digits: int = 0) -> str:
 
 def estimate(value: float, ends: tuple[float, float], digits: int = 0) -> str:
     """Write a number with its interval, "3 [1 to 5]", and without one that is not known."""
-    return number(value, digits) + (f" [{span(ends, digits)}]" if np.isfinite(ends).all() else "")
+    return number(value, digits) + ("" if np.isnan(ends).any() else f" [{span(ends, digits)}]")
 
 
 def trials(count: int) -> str:

@@ -3,11 +3,14 @@
 Policies act stochastically, as in training and in the demonstrations.
 """
 
-from collections.abc import Generator, Sequence
+import random
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+import torch as th
 from stable_baselines3.common.utils import set_random_seed
 from tqdm import tqdm
 
@@ -77,6 +80,21 @@ def load_policy(record: RunRecord) -> Policy:
     return policy
 
 
+@contextmanager
+def seeded(policy: Policy, seed: int) -> Iterator[None]:
+    """Have a policy draw from `seed` meanwhile; afterwards all other streams go on as they were."""
+    kept = random.getstate(), np.random.get_state(), th.get_rng_state()  # noqa: NPY002
+    set_random_seed(seed)  # stable-baselines3's models and policies draw from torch's generator
+    if isinstance(policy, RandomPolicy):
+        policy.reseed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(kept[0])
+        np.random.set_state(kept[1])  # noqa: NPY002
+        th.set_rng_state(kept[2])
+
+
 class Episode(NamedTuple):
     """One finished episode."""
 
@@ -128,27 +146,26 @@ def episodes(
     name = body if isinstance(body, str) else body.name
     bar = tqdm(total=n_episodes, desc=f"episodes of {name}", disable=not progress, leave=False)
     try:
-        reseed = getattr(policy, "reseed", set_random_seed)  # torch's generator draws for others
-        reseed(seeding.child_seed(seed, "policy"))
-        observations = np.asarray(env.reset())
-        first = np.asarray(env.reset_infos[0].get(INFO_KEY, observations[0]))
-        of_learner = LearnerFeatures(first.size)
-        states = [[row] for row in of_learner.first(env, observations)]
-        while left.any():
-            actions, _ = policy.predict(observations, deterministic=False)
-            stepped, _, dones, infos = env.step(actions)
-            observations = np.asarray(stepped)
-            reached, restarted = of_learner.reached(env, observations, dones, infos)
-            for i in np.flatnonzero(left).tolist():
-                states[i].append(reached[i].copy())
-                if dones[i]:
-                    info = infos[i]["episode"]
-                    told = (info.get("speed_m_s"), info.get("upright"))
-                    features = np.stack(states[i]).astype(np.float32)
-                    yield Episode(features, float(info["r"]), *told)
-                    states[i] = [restarted[i]]
-                    left[i] -= 1
-                    bar.update()
+        with seeded(policy, seeding.child_seed(seed, "policy")):
+            observations: Any = env.reset()
+            infos = env.reset_infos
+            one = infos[0][INFO_KEY] if INFO_KEY in infos[0] else observations[0]
+            of_learner = LearnerFeatures(np.size(one))
+            states = [[row] for row in of_learner.first(env, observations)]
+            while left.any():
+                actions, _ = policy.predict(observations, deterministic=False)
+                observations, _, dones, infos = env.step(actions)
+                reached, restarted = of_learner.reached(env, observations, dones, infos)
+                for i in np.flatnonzero(left).tolist():
+                    states[i].append(reached[i].copy())
+                    if dones[i]:
+                        info = infos[i]["episode"]
+                        told = (info.get("speed_m_s"), info.get("upright"))
+                        features = np.stack(states[i]).astype(np.float32)
+                        yield Episode(features, float(info["r"]), *told)
+                        states[i] = [restarted[i]]
+                        left[i] -= 1
+                        bar.update()
     finally:
         bar.close()
         env.close()

@@ -153,7 +153,7 @@ def git(*arguments: str) -> str | None:
     # An installed package may lie inside somebody else's repository.
     if root is None or not (root / ".git").exists():
         return None
-    command = ["git", "-C", str(root), *arguments]
+    command = ["git", "--no-optional-locks", "-C", str(root), *arguments]
     try:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
@@ -482,10 +482,12 @@ def load_demonstrations(config: RunConfig) -> Shown:
         from silem.study.studies import experts
 
         budget = BUDGETS.get(config.budget.base_name, config.budget)
-        expert = experts(name, budget)[0].command
-        body = expert.partition(" --method")[0].removeprefix("silem run")
+        body, trial = demos.expert_of(name)
+        expert = experts(body, budget, trial)[0].command
+        then = expert.partition(" --method")[0].replace("silem run", "silem demonstrations")
+        then += f" --budget {budget.name}" + ("" if trial is None else f" --trial {trial}")
         told = f"there are no demonstrations of {name} ({path}); train its expert with `{expert}`"
-        raise SilemError(f"{told}, then `silem demonstrations{body} --budget {budget.name}`")
+        raise SilemError(f"{told}, then `{then}`")
     there, sha = demos.load_published(name)
     if (n := config.hyper.n_trajectories) > len(there.features):
         raise SilemError(f"n_trajectories is {n}, and {path} holds {len(there.features)}")
@@ -494,6 +496,6 @@ def load_demonstrations(config: RunConfig) -> Shown:
 
 def check_made_by_an_expert(demonstrations: str) -> None:
     """Raise SilemError, saying how they are made, unless an expert makes these demonstrations."""
-    if not bodies.exists(demonstrations):
+    if not bodies.exists(demos.expert_of(demonstrations)[0]):
         path = demos.file_of(demonstrations)
         raise SilemError(f"{path} is not there or not whole; `silem mocap` makes it")

@@ -5,6 +5,7 @@ folder, which all machines must share.
 """
 
 import dataclasses
+import os
 import shlex
 import subprocess
 import sys
@@ -74,12 +75,13 @@ def submission(engine: str, words: Sequence[str], options: Options) -> str:
     words = [sys.executable, "-m", "silem", *words, "--minutes", str(minutes), "--quiet"]
     exports = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
     setup, loop = "\n".join([*exports, *options.setup]), shlex.join(words)
-    # in HTCondor's quotes a quote of either kind is written twice
-    quoted = f"{setup}\nexec {loop}".replace("'", "''").replace('"', '""').replace("\n", "; ")
+    # bash takes the lines from its own quotes, $'...'; in HTCondor's, either kind is written twice
+    lines = f"{setup}\nexec {loop}".replace("\\", r"\\").replace("'", r"\'").replace("\n", r"\n")
+    quoted = f"eval $'{lines}'".replace("'", "''").replace('"', '""')
     said = dataclasses.asdict(options) | {"lines": "\n".join(options.lines), "setup": setup}
     return text.format(
         **said, loop=loop, quoted=quoted.replace("$", "$(DOLLAR)"), again=_AGAIN, stopped=STOPPED,
-        logs=paths.runs_dir() / "log",
+        logs=paths.runs_dir() / "log", folder=shlex.quote(os.getcwd()),
     )  # fmt: skip
 
 
@@ -114,6 +116,7 @@ def _to_dask(script: str, options: Options) -> str:
     except (OSError, ValueError) as error:
         raise SilemError(f"no Dask scheduler at {options.scheduler}: {reason(error)}") from error
     codes: list[int] = []
+    failed: dict[str, None] = {}
     hand_over = partial(client.submit, loop_on_dask, script, pure=False)
     with client:
         going = distributed.as_completed([hand_over() for _ in range(options.jobs)])
@@ -123,8 +126,10 @@ def _to_dask(script: str, options: Options) -> str:
             if code == STOPPED and len(codes) < _AGAIN:
                 going.add(hand_over())
             elif code:
-                raise SilemError(f"a loop ended with code {code}: {said}")
+                failed[f"a loop ended with code {code}: {said}"] = None
             codes.append(code)
+    if failed:
+        raise SilemError("; ".join(failed))
     return f"{codes.count(0)} loops have ended"
 
 

@@ -264,6 +264,7 @@ class Segments(BaseCallback):
             # windows begin anew.
             model._last_obs = np.asarray(env.reset())
             model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+            model._note_begun()
             model.reseed(seeding.child_seed(seed, "model", iteration))
 
     def _on_step(self) -> bool:

@@ -6,6 +6,7 @@ on any number of machines share a data folder, and any of them may die at any mo
 
 import math
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -31,7 +32,9 @@ from silem.util.errors import SilemError, reason
 STOPPED = 130
 """The exit code of a loop that was stopped, or whose time was up: the same command goes on."""
 _GOES_ON = "the same command goes on"
-_POLL_S = 1.0
+_POLL_S, _LONGEST_POLL_S = 1.0, 30.0
+_SHOWN_EVERY_S = 5.0
+_MOST_LOST = 5  # runs in a row
 _MOST_KILLS = 100  # of one loop of a crew, which is then not started again
 _ENOUGH = 3  # measured runs of a kind
 
@@ -45,7 +48,7 @@ def experts_of(config: RunConfig) -> list[RunConfig]:
     if not name or demos.is_published(name):
         return []
     body, trial = demos.expert_of(name)
-    runs.check_made_by_an_expert(body)
+    runs.check_made_by_an_expert(name)
     return experts(body, config.budget.base_name, trial)
 
 
@@ -64,13 +67,16 @@ def check(configs: Sequence[RunConfig]) -> None:
     ]
     if lacking:
         config, expert = lacking[0]
-        names = " ".join(dict.fromkeys(needed.body for _, needed in lacking))
-        first = f"silem work {expert.study} --method ppo --body {names}"
-        first += f" --budget {expert.budget.base_name}"
+        first = expert.command
+        if expert.study in STUDIES and expert.seed in (seeds := STUDIES[expert.study].seeds):
+            others = [needed for _, needed in lacking if needed.study == expert.study]
+            names = " ".join(dict.fromkeys(other.body for other in others))
+            trials = max(seeds.index(other.seed) for other in others) + 1
+            first = f"silem work {expert.study} --method ppo --body {names}"
+            first += f" --budget {expert.budget.base_name} --trials {trials}"
         raise SilemError(
             f"{config.run_id} needs demonstrations of {config.demonstrations}, and the expert"
-            f" {expert.run_id} is neither finished nor asked for; first:"
-            f" {first if expert.study in STUDIES else expert.command}"
+            f" {expert.run_id} is neither finished nor asked for; first: {first}"
         )
     files.check_locks(paths.runs_dir())
 
@@ -93,60 +99,79 @@ def work(
     Raises SilemError as `check`, before anything starts; or some of the runs have failed, after all
     others were made. Raises KeyboardInterrupt on Ctrl-C or SIGTERM, or when time is up.
     """
-    until = time.monotonic() + 60.0 * minutes
+    until, pause_s = time.monotonic() + 60.0 * minutes, _POLL_S
+    lost: list[str] = []
     try:
         with runs.stoppable():
             check(configs)
-            while _pass(configs, until, progress, made):
-                pass
+            while (one := _pass(configs, until, progress, made, lost)) is not None:
+                # the file system is asked for thousands of files each time
+                pause_s = _POLL_S if one else min(2 * pause_s, _LONGEST_POLL_S)
+                time.sleep(0.0 if one else min(pause_s, max(until - time.monotonic(), 0.0)))
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(f"{str(interrupt) or 'stopped'}; {_GOES_ON}") from None
     failed(configs, refuse=True)
 
 
 def _pass(
-    configs: Sequence[RunConfig], until: float, progress: bool, made: Callable[[RunRecord], None]
-) -> bool:
-    """Make the first run that can be made, or wait a moment; return whether there may be more."""
+    configs: Sequence[RunConfig],
+    until: float,
+    progress: bool,
+    made: Callable[[RunRecord], None],
+    lost: list[str],
+) -> bool | None:
+    """Make the first run that can be made; return whether any could, None if none ever can be."""
     left = [config for config in configs if not runs.is_finished(config)]
     step_s = speeds(configs) if until < math.inf else lambda config: None
     waiting = late = False
+    experts_are: dict[str, set[str]] = {}  # by demonstrations
     for config in left:
         if runs.state(config) in ("running", "failed"):
             continue
-        states = {runs.state(expert): expert.run_id for expert in experts_of(config)}
+        if (name := config.demonstrations) not in experts_are:
+            experts_are[name] = {runs.state(expert) for expert in experts_of(config)}
         budget = config.budget
         segment_s = (step_s(config) or 0.0) * budget.checkpoint_every * budget.steps_per_iteration
-        if lost := states.get("failed"):
-            runs.fail(config, f"it needs {lost}, which has failed")
-        elif states.keys() - {"finished"}:
+        if "failed" in experts_are[name]:
+            continue
+        if experts_are[name] - {"finished"}:
             waiting = True
         elif time.monotonic() + segment_s > until:
             late = True
-        elif record := _make(config, progress, until):
+        elif record := _make(config, progress, until, lost):
             made(record)
             return True
     if late or (waiting and time.monotonic() > until):
         raise KeyboardInterrupt(f"time is up: {len(left)} of {len(configs)} runs are left")
-    time.sleep(_POLL_S if waiting else 0.0)
-    return waiting
+    return False if waiting else None
 
 
-def _make(config: RunConfig, progress: bool, until: float) -> RunRecord | None:
-    """Make a run, and first its demonstrations; None where somebody else does, or it has failed."""
+def _make(config: RunConfig, progress: bool, until: float, lost: list[str]) -> RunRecord | None:
+    """Make a run, and first its demonstrations; None where somebody else does, or it has failed.
+
+    `lost` are those that this loop has seen fail since one was finished. Raises SilemError: they
+    are so many that the fault may be this machine's.
+    """
     try:
         if needed := experts_of(config):
             from silem.study.evaluate import demonstrate  # with all that learns
 
             record = runs.demonstrator(needed)
             demonstrate(record, name=config.demonstrations, progress=progress)
-        return runs.run(config, progress, until=until, starts=runs.STARTS)
+        record = runs.run(config, progress, until=until, starts=runs.STARTS)
+        lost.clear()
+        return record
     except files.Held:
         return None
     except Exception as error:  # whatever it is, the other runs go on
         if not isinstance(error, SilemError):
             traceback.print_exc()
-        runs.fail(config, reason(error))
+        host = socket.gethostname()
+        runs.fail(config, f"{reason(error)} (on {host})")
+        lost.append(config.run_id)
+        if len(lost) == _MOST_LOST:
+            told = f"{len(lost)} runs in a row have failed on {host}, which may be its own fault"
+            raise SilemError(f"{told}: {reason(error)} (--retry tries them again)") from error
         return None
 
 
@@ -154,6 +179,8 @@ def failed(configs: Sequence[RunConfig], *, refuse: bool = False) -> dict[str, s
     """Return why runs have failed, by run id; to `refuse` raises SilemError if any has."""
     reasons = {}
     for config in configs:
+        if runs.state(config) != "failed":
+            continue
         with suppress(FileNotFoundError):
             text = (runs.run_folder(config) / runs.FAILED).read_text(errors="replace")
             reasons[config.run_id] = reason(ValueError(text))
@@ -174,20 +201,21 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
     """
     check(configs)
     command = [sys.executable, "-m", "silem", *words, "--quiet", "--with-input"]
-    log, kills = paths.runs_dir() / "work.log", 0
+    log, kills, next_shown = paths.runs_dir() / "work.log", 0, 0.0
     loops: list[subprocess.Popen[bytes]] = []
     bar = tqdm(total=len(configs), desc="runs", unit="run", disable=not progress)
     try:
         with runs.stoppable(), bar:
             loops += [_start(command, log) for _ in range(n)]
             while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
-                for i, loop in enumerate(loops):
-                    if (loop.poll() or 0) < 0:
-                        loops[i], kills = _start(command, log), kills + 1
+                kills += _restart(loops, command, log)
                 if kills > _MOST_KILLS * n:
                     raise SilemError(f"workers are killed again and again (log: {log})")
-                _show(bar, configs)
+                if time.monotonic() >= next_shown:
+                    _show(bar, configs)
+                    next_shown = time.monotonic() + _SHOWN_EVERY_S
                 time.sleep(_POLL_S / 4)
+            _show(bar, configs)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped all workers at their checkpoints; {_GOES_ON}") from None
     finally:
@@ -202,6 +230,14 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
     if any(codes):
         lines = log.read_text(errors="replace").strip().splitlines() or ["no message"]
         raise SilemError(f"workers ended with {codes}: {lines[-1]} (log: {log})")
+
+
+def _restart(loops: "list[subprocess.Popen[bytes]]", command: Sequence[str], log: Path) -> int:
+    """Start the loops again that were killed, and return how many."""
+    killed = [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]
+    for i in killed:
+        loops[i] = _start(command, log)
+    return len(killed)
 
 
 def _start(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
@@ -321,4 +357,6 @@ def status(study: str, budget: Budget, *which: int | None) -> str:
             hours += (step_s(config) or math.nan) * (config.budget.n_steps - done) / 3600
         told += f", {hours:.1f} hours for one worker at the speed measured"
         told += f", {hours / len(at_work):.1f} for {len(at_work)}" if len(at_work) > 1 else ""
-    return "\n".join([*lines, told.replace("nan hours", "an unknown time", 1)])
+        if math.isnan(hours):
+            told = f"{told.partition(',')[0]}, an unknown time: no speed is measured yet"
+    return "\n".join([*lines, told])

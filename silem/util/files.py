@@ -13,6 +13,7 @@ import hashlib
 import io
 import json
 import os
+import secrets
 import socket
 import time
 import zipfile
@@ -33,7 +34,8 @@ MAX_UNFOLDED_BYTES = 1 << 29
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file atomically, in its folder or a new one; SilemError leaves the file before."""
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    # processes on several machines, or in containers, may share a number
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "wb") as stream:

@@ -33,7 +33,10 @@ def __getattr__(name: str) -> Path:
 def data_dir() -> Path:
     """Return the data folder: ``$SILEM_DATA_DIR``, a checkout's ``data/``, or ``./silem-data``."""
     if moved := os.environ.get("SILEM_DATA_DIR"):
-        return Path(moved).expanduser().resolve()
+        try:
+            return Path(moved).expanduser().resolve()
+        except RuntimeError as error:
+            raise SilemError(f"SILEM_DATA_DIR is {moved!r}: {error}") from error
     root = checkout()
     return root / "data" if root else Path.cwd() / "silem-data"
 

@@ -210,9 +210,9 @@ def test_an_iteration_is_stable_baselines3s() -> None:
     theirs.policy.forward = forward
     with pytest.MonkeyPatch.context() as patch:
         for _ in range(2):  # the second has moments, Adam's and the observations'
-            ours.learn(192, reset_num_timesteps=False)
+            ours.learn(192, reset_num_timesteps=False, log_interval=None)
             patch.setattr(np.random, "permutation", noise.permutation)
-            theirs.learn(192, reset_num_timesteps=False)
+            theirs.learn(192, reset_num_timesteps=False, log_interval=None)
             patch.undo()
             extractor = theirs.policy.features_extractor  # which stable-baselines3 never updates
             extractor.load_state_dict(ours.policy.features_extractor.state_dict())
@@ -222,6 +222,10 @@ def test_an_iteration_is_stable_baselines3s() -> None:
             for name in ("advantages", "returns"):
                 expected = flat(theirs, name)
                 np.testing.assert_allclose(flat(ours, name), expected, rtol=1e-3, atol=1e-3)
+            logged = theirs.logger.name_to_value
+            for name in (name for name in logged if name.startswith("train/")):
+                found = ours.logger.name_to_value[name]
+                assert found == pytest.approx(logged[name], rel=1e-3, abs=1e-4), name
     ends, cut = ours._bootstrap != 0, ours.rollout_buffer.episode_starts[1:] != 0
     assert ends.sum() >= 3 and cut.sum() > ends[:-1].sum() + 3  # time limits, and falls
     for name, value in theirs.policy.state_dict().items():

@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 import os
 import pickle
+import random
 import warnings
 
 import gymnasium as gym
@@ -432,6 +433,90 @@ def test_dictionaries_of_observations_learn_from_features_in_infos(method: type)
     with pytest.raises(SilemError, match=r"dictionary.*skeletal_features"):
         env = DummyVecEnv([DictionaryAlone] * 2)
         method("MultiInputPolicy", env, demos, **FIVE).learn(20)
+
+
+def test_dictionaries_of_observations_are_evaluated() -> None:
+    env_id = "tests/Dictionary-v0"
+    if env_id not in gym.registry:
+        gym.register(env_id, Dictionary, max_episode_steps=5)
+    demos = [np.zeros((5, 3), dtype=np.float32)]
+    model = SILEM("MultiInputPolicy", DummyVecEnv([Dictionary] * 2), demos, **FIVE).learn(20)
+    found = silem.evaluate(model, env_id, 2, model=model)
+    assert found.n_episodes == 2 and np.isfinite(found.disc_reward_mean)
+
+
+def test_an_evaluation_leaves_every_stream_where_it_was() -> None:
+    model = silem.PPO("MlpPolicy", "Pendulum-v1", n_steps=64, batch_size=64, seed=0).learn(64)
+
+    def drawn(evaluated: bool) -> list[float]:
+        model.reseed(3)
+        random.seed(4)
+        if evaluated:
+            silem.evaluate(model, "Pendulum-v1", 1)
+        draws = model._rng.random(), th.rand(1).item(), np.random.rand(), random.random()  # noqa: NPY002
+        return [float(draw) for draw in draws]
+
+    assert drawn(True) == drawn(False)
+    first, second = (silem.evaluate(model, "Pendulum-v1", 1).returns for _ in range(2))
+    assert first == second
+
+
+class Poisoned(gym.Wrapper):
+    """Its fifth reward is none."""
+
+    reward, steps = float("nan"), 0
+
+    def step(self, action: np.ndarray) -> tuple:
+        self.steps += 1
+        observation, reward, *rest = self.env.step(action)
+        return observation, self.reward if self.steps == 5 else reward, *rest
+
+
+@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
+def test_rewards_that_are_none_stop_the_training(reward: float) -> None:
+    env = Poisoned(gym.make("Pendulum-v1"))
+    env.reward = reward
+    with pytest.raises(SilemError, match=r"rewards .* hold NaN or infinity"):
+        silem.PPO("MlpPolicy", env, n_steps=64, batch_size=64, seed=0).learn(128)
+
+
+def test_what_diverges_stops_the_training() -> None:
+    model = point_mass()
+    with th.no_grad():
+        next(model.discriminator.parameters()).fill_(float("nan"))
+    with pytest.raises(SilemError, match="hold NaN or infinity"):
+        model.learn(120)
+    model = point_mass(silem.SILEM, learning_rate=1e30)
+    with np.errstate(all="ignore"), pytest.raises(SilemError, match="hold NaN or infinity"):
+        model.learn(600)
+
+
+class ResetsAtStarts(BaseCallback):
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self.training_env.reset()
+
+
+def test_windows_stay_whole_after_a_callback_has_reset_the_environments() -> None:
+    model = counters()
+    for _ in range(3):
+        model.learn(10, callback=ResetsAtStarts(), reset_num_timesteps=False)
+        assert windows_are_whole(model._windows)
+        assert model.rollout_buffer.episode_starts[0].all()
+
+
+def test_steps_that_count_a_decay_stay_as_many(tmp_path) -> None:
+    for decay in (1.0, 0.9):
+        point_mass(SILEM, transform_lr_decay=decay).learn(120).save(tmp_path / "model.zip")
+        if decay == 1.0:
+            assert (
+                SILEM.load(tmp_path / "model.zip", n_transform_updates=1).n_transform_updates == 1
+            )
+            continue
+        with pytest.raises(SilemError, match="n_transform_updates cannot change"):
+            SILEM.load(tmp_path / "model.zip", n_transform_updates=1)
 
 
 class FromResetAlone(CounterWithFeatures):

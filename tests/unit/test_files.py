@@ -339,3 +339,21 @@ def test_kill_9_in_the_middle_of_writing_leaves_a_whole_file(tmp_path: Path) -> 
         interrupted_writes += len(list(tmp_path.glob(".*.tmp")))
         files.remove_leftovers(tmp_path)
     assert interrupted_writes > 0  # else no kill came in the middle of a write
+
+
+def test_writers_of_several_machines_may_have_one_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in containers: their temporary files are not each other's."""
+    monkeypatch.setattr(files.os, "getpid", lambda: 7)
+    written, move = [], files.os.replace
+
+    def replace(temporary: Path, path: Path) -> None:
+        if not written:  # the other one writes in between
+            written.append(temporary)
+            files.write_text(path, "other")
+        move(temporary, path)
+
+    monkeypatch.setattr(files.os, "replace", replace)
+    files.write_text(tmp_path / "note.txt", "one")
+    assert (tmp_path / "note.txt").read_text() == "one"

@@ -360,6 +360,18 @@ def test_what_stops_a_run_beforehand_leaves_nothing_and_names_what_helps(data: P
     assert demonstrations.entry("HC0")["n_trajectories"] == 1
 
 
+def test_one_trials_demonstrations_are_made_by_that_trial(data: Path) -> None:
+    config = RunConfig.create("HC1", "silem", "HC0_s3", "quick")
+    with pytest.raises(SilemError, match="no demonstrations of HC0_s3") as error:
+        runs.run(config, progress=False)
+    train, record = (
+        cli.parser().parse_args(command.split())
+        for command in re.findall("`silem (.*?)`", str(error.value))
+    )
+    assert (train.body, train.method, train.seed, train.budget) == ("HC0", "ppo", 3, "quick")
+    assert (record.body, record.trial, record.budget) == ("HC0", 3, "quick")
+
+
 def test_evidence_is_published_and_found_without_the_working_files(
     data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

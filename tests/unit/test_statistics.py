@@ -32,6 +32,31 @@ def test_intervals_are_scipys(rng: np.random.Generator) -> None:
     )
 
 
+def test_a_ratios_interval_is_fiellers(rng: np.random.Generator) -> None:
+    """By his own formula where both spreads are known well, and by its coverage where not."""
+    many, unit = rng.normal(6, 1, 4000), rng.normal(4, 1, 4000)
+    (a, b), (va, vb) = (many.mean(), unit.mean()), (many.var() / 4000, unit.var() / 4000)
+    c = 1.95996**2
+    roots = np.roots([b**2 - c * vb, -2 * a * b, a**2 - c * va])
+    np.testing.assert_allclose(statistics.ratio_interval(many, unit), sorted(roots), rtol=1e-4)
+    held = 0
+    for _ in range(400):
+        low, high = statistics.ratio_interval(rng.normal(1.5, 0.1, 5), rng.normal(1, 0.3, 5))
+        held += low <= 1.5 <= high
+    assert 0.93 < held / 400 < 0.985
+    # a ratio is in it just where Welch's interval of the difference holds 0
+    one, other = rng.normal(3, 1, 5), rng.normal(2, 0.5, 4)
+    for end in statistics.ratio_interval(one, other):
+        assert min(np.abs(statistics.interval(one, end * other))) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_ratio_to_what_may_be_nothing_has_no_end() -> None:
+    low, high = statistics.ratio_interval([9.0, 10.0, 11.0], [0.1, 1.0, 2.0])
+    assert 0 < low < 10 and high == np.inf
+    assert statistics.ratio_interval([2.0, 2.0], [1.0, 1.0]) == pytest.approx((2.0, 2.0))
+    assert np.isnan(statistics.ratio_interval([2.0], [1.0, 1.0])).all()
+
+
 def test_one_trial_has_neither_interval_nor_power() -> None:
     assert np.isnan(statistics.interval([7.0])).all()
     assert np.isnan(statistics.interval([])).all()

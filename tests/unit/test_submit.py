@@ -11,13 +11,16 @@ import socket
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 
 from silem.cli import main
 from silem.study import runs, work
+from silem.study.config import RunConfig
 from silem.study.runs import CHECKPOINT, RECORD
 from silem.study.submit import ENGINES, Options, submission, submit
 from silem.util import files, paths
@@ -102,14 +105,91 @@ def test_what_htcondor_is_given() -> None:
     assert given["+Long"] == "true"
     # HTCondor's quoting: one pair of double quotes around all, single ones group, both are doubled
     whole = given["arguments"]
-    assert "it''s $(DOLLAR)HOME" in whole  # not a macro of HTCondor's
+    assert r"it\''s $(DOLLAR)HOME" in whole  # not a macro of HTCondor's
     assert whole[:5] + whole[-2:] == "\"-c ''\""
     command = whole[5:-2].replace("''", "'").replace('""', '"').replace("$(DOLLAR)", "$")
-    *setup, loop = command.split("; ")
-    assert setup[-1] == options.setup[0]
-    assert f"export SILEM_DATA_DIR={paths.data_dir()}" in setup
-    asked = ["exec", sys.executable, "-m", "silem", "work", "halfcheetah"]
-    assert shlex.split(loop)[:6] == asked
+    said = subprocess.run(
+        ["bash", "-c", command.replace(f"exec {sys.executable}", 'echo "$A" "$SILEM_DATA_DIR"')],
+        capture_output=True, text=True, env=os.environ | {"HOME": "home"}, check=True,
+    )  # fmt: skip
+    assert said.stdout.startswith(f"it's home {paths.data_dir()} -m silem work halfcheetah ")
+
+
+def test_setup_lines_mean_the_same_to_every_engine() -> None:
+    """Remarks, blocks and backslashes: none swallows what follows it."""
+    lines = ("true  # a remark", "if true; then", r"  export A='a\tb'", "fi", "set -eu")
+    for engine in ENGINES:
+        text = submission(engine, ["work", *STUDY], Options(setup=lines))
+        if engine == "htcondor":
+            (whole,) = (line for line in text.splitlines() if line.startswith("arguments"))
+            text = whole.partition("'")[2].rpartition("'")[0]
+            text = text.replace("''", "'").replace('""', '"').replace("$(DOLLAR)", "$")
+        text = text.replace(f"{sys.executable} -m silem", 'printf "%s\\n" "$A"', 1)
+        done = subprocess.run(
+            ["bash"], input=text.replace(r'\\n', r'\\\\n') if engine == "htcondor" else text,
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.stdout.splitlines()[0] == r"a\tb", (engine, done)
+
+
+@pytest.mark.parametrize(("code", "said"), [(130, "requeue 7_3\n"), (2, ""), (0, "")])
+def test_a_task_of_an_array_queues_itself_again_and_no_other(
+    code: int, said: str, tmp_path: Path
+) -> None:
+    scontrol = tmp_path / "scontrol"
+    scontrol.write_text('#!/bin/bash\necho "$@"\n')
+    scontrol.chmod(0o755)
+    text = submission("slurm", ["work", *STUDY], Options(setup=("set -eu",)))
+    text = text.replace(f"\n{sys.executable} -m silem", f"\nbash -c 'exit {code}' loop", 1)
+    place = {"SLURM_JOB_ID": "7", "SLURM_ARRAY_JOB_ID": "7", "SLURM_ARRAY_TASK_ID": "3"}
+    env = os.environ | place | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(["bash"], input=text, capture_output=True, text=True, env=env)
+    assert (done.returncode, done.stdout) == (code, said), done.stderr
+
+
+def test_dask_goes_on_when_one_loop_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Future:
+        status = "finished"
+
+        def __init__(self, outcome: tuple[int, str]) -> None:
+            self.outcome = outcome
+
+        def result(self) -> tuple[int, str]:
+            return self.outcome
+
+    class Client:
+        """Its loops end one after another: failed, out of time, out of time, done, done."""
+
+        left: ClassVar[list[int]] = [2, 130, 130, 0, 0]
+
+        def __init__(self, *args: Any, **kwargs: Any) -> None: ...
+        def __enter__(self) -> Client:
+            return self
+
+        def __exit__(self, *args: Any) -> None: ...
+        def submit(self, *args: Any, **kwargs: Any) -> Future:
+            return Future((self.left[0], f"said {self.left.pop(0)}"))
+
+    class Ending(list[Future]):
+        add = list.append
+
+    fake = types.SimpleNamespace(Client=Client, as_completed=Ending)
+    monkeypatch.setitem(sys.modules, "distributed", fake)
+    with pytest.raises(SilemError, match=r"^a loop ended with code 2: said 2$"):
+        submit("dask", ["work", *STUDY], Options(jobs=3, scheduler="tcp://anywhere:1"))
+    assert Client.left == []
+
+
+def test_retry_is_handed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sbatch = tmp_path / "sbatch"
+    sbatch.write_text("#!/bin/bash\necho submitted\n")
+    sbatch.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    config = RunConfig.create("HC0", "ppo", budget="tiny")
+    runs.fail(config, "its disk was full")
+    words = "submit halfcheetah --budget tiny --on slurm --retry".split()
+    assert main([*words, "--print"]) == 0 and runs.state(config) == "failed"
+    assert main(words) == 0 and runs.state(config) == "missing"
 
 
 def test_what_a_loop_elsewhere_finds_its_modules_by(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ import dataclasses
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -273,12 +274,25 @@ def test_an_imitator_without_an_expert_is_refused_before_anything_starts(data: P
     assert list(data.iterdir()) == []
 
 
-def test_one_command_is_named_that_makes_all_experts_who_are_not_asked_for(data: Path) -> None:
-    first_trials = study_configs("halfcheetah", "book", 1)
-    with pytest.raises(SilemError, match=r"first: silem work halfcheetah --method ppo") as error:
-        work.check(first_trials)
-    advised = cli.parser().parse_args(str(error.value).partition("first: silem ")[2].split())
-    work.check([*cli._configs(advised), *first_trials])
+@pytest.mark.parametrize(
+    ("study", "budget", "commands"),
+    [
+        ("halfcheetah", "book", 1),
+        ("slope", "book", 2),  # of HC0 and of Ant0, whose experts are two studies'
+        ("ensembles", "quick", 2),
+        ("demonstrators", "quick", 1),  # of all five trials, where the budget has one
+    ],
+)
+def test_a_command_is_named_that_makes_a_studys_experts_who_are_not_asked_for(
+    study: str, budget: str, commands: int, data: Path
+) -> None:
+    configs = study_configs(study, budget, 1)
+    for _ in range(commands):
+        with pytest.raises(SilemError, match="neither finished nor asked for; first:") as error:
+            work.check(configs)
+        advised = cli.parser().parse_args(str(error.value).partition("first: silem ")[2].split())
+        configs = [*cli._configs(advised), *configs]
+    work.check(configs)
 
 
 def test_no_run_is_started_that_cannot_reach_its_next_checkpoint(made: list[str]) -> None:
@@ -357,12 +371,56 @@ def test_a_failure_is_reported_after_all_others_were_made(
     assert "HC0.npz" in told.splitlines()[-2]
 
 
-def test_what_needs_a_failed_expert_fails_and_nothing_waits_forever(made: list[str]) -> None:
+def test_what_needs_a_failed_expert_is_left_and_nothing_waits_forever(made: list[str]) -> None:
     expert, imitator = study_configs("halfcheetah", TINY, 1, **HC0, method=["ppo", "silem"])
     runs.fail(expert, "diverged")
-    with pytest.raises(SilemError, match=f"{imitator.run_id} failed: it needs {expert.run_id}"):
+    with pytest.raises(SilemError, match=f"^{expert.run_id} failed: diverged"):
         work.work([expert, imitator])
-    assert made == []
+    assert made == [] and runs.state(imitator) == "missing"
+    runs.forgive(expert)  # which is enough for both
+    work.work([expert, imitator])
+    assert made[0] == expert.run_id and made[-1] == imitator.run_id
+
+
+def test_a_machine_on_which_run_after_run_fails_is_left_before_all_have(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*args: Any, **kwargs: Any) -> None:
+        raise ImportError("libtorch.so: no such file")
+
+    monkeypatch.setattr(work.runs, "run", fail)
+    configs = study_configs("halfcheetah", TINY, 3, method=["ppo"])
+    with pytest.raises(SilemError, match=r"5 runs in a row .*its own fault: libtorch.*--retry"):
+        work.work(configs)
+    assert [runs.state(config) for config in configs] == ["failed"] * 5 + ["missing"] * 4
+    assert f"(on {socket.gethostname()})" in work.failed(configs)[configs[0].run_id]
+
+
+def test_what_is_finished_has_not_failed(made: list[str]) -> None:
+    """A loop that lost a race may have left its note."""
+    (config,) = study_configs("halfcheetah", TINY, 1, **HC0, method=["ppo"])
+    work.work([config])
+    runs.fail(config, "too late")
+    work.work([config])
+    assert work.failed([config]) == {}
+
+
+def test_a_loop_that_waits_looks_ever_more_seldom(
+    made: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expert, imitator = study_configs("halfcheetah", TINY, 1, **HC0, method=["ppo", "silem"])
+    waits: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 7:
+            publish(b"")
+
+    monkeypatch.setattr(work, "_POLL_S", 1.0)
+    monkeypatch.setattr(work.time, "sleep", sleep)
+    with files.lock(runs.run_folder(expert) / runs.LOCK):
+        work.work([imitator, expert])
+    assert waits[:7] == [2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0] and made == [imitator.run_id]
 
 
 def test_status_tells_who_works_where_and_how_long_the_rest_takes() -> None:
