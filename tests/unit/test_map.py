@@ -60,4 +60,4 @@ def test_the_library_is_small() -> None:
 def test_the_books_code_is_small() -> None:
     """Figures, tables and pages too: most of a page is a few lines around what is there."""
     report = [path for name, path in MODULES.items() if room(name + ".") == "report"]
-    assert sum(len(path.read_text().splitlines()) for path in report) <= 5_730
+    assert sum(len(path.read_text().splitlines()) for path in report) <= 5_745

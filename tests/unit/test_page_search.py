@@ -41,6 +41,12 @@ def test_a_winner_is_worth_what_fresh_seeds_say() -> None:
     assert winner.startswith("−40 [−4") and winner.endswith("]")
     assert supplement.startswith("0 [") and last == "–"
 
+    said = search.curse(RANKED, "HC2")
+    assert said.startswith("On HC2 the winner goes from 101 to 61 on 3 fresh seeds, the supp")
+    assert said.endswith("from 80 to 80 on 3 fresh seeds.")
+    for few in ([], RANKED[2:]):
+        assert search.curse(few, "HC2") == "On HC2 nothing has been run on fresh seeds yet."
+
 
 def test_the_table_names_settings_as_the_paper_does() -> None:
     table = search.table(RANKED).data

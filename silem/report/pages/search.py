@@ -50,10 +50,23 @@ def says(ranked: Sequence[Ranked], n_planned: int) -> str:
     rho = float(stats.spearmanr(first, second).statistic)
     differ = "differ by more" if by_chance < 1 - statistics.LEVEL else "do not differ by more"
     return (
-        f"{text} Configurations {differ} than the trials of one do (p = {number(by_chance, 2)});"
+        f"{text} Configurations {differ} than the trials of one do (p = {by_chance:.2g});"
         f" the rankings by the first and by the second trial alone have a rank correlation of"
         f" {number(rho, 2)}."
     )
+
+
+def curse(ranked: Sequence[Ranked], body: str) -> str:
+    """Say what the winner, and the supplement's best, are worth on seeds that did not choose it."""
+    asked = {"the winner": ranked[:1], "the supplement's best": [e for e in ranked if e.is_papers]}
+    told = [
+        f"{name} goes from {number(entry.score)} to {number(float(np.mean(entry.fresh)))}"
+        f" on {len(entry.fresh)} fresh seeds"
+        for name, found in asked.items()
+        for entry in found
+        if entry.fresh
+    ]
+    return f"On {body} {', '.join(told) or 'nothing has been run on fresh seeds yet'}."
 
 
 @style.applied()
