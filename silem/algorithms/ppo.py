@@ -216,7 +216,12 @@ class PPO(SB3PPO):
         return True
 
     def train(self) -> None:
-        """Update the policy on the rollout: PPO's epochs of clipped minibatch steps."""
+        """Update the policy on the rollout: PPO's epochs of clipped minibatch steps.
+
+        Raises SilemError: rewards, values or, afterwards, parameters hold NaN or infinity.
+        """
+        if not np.isfinite(self.rollout_buffer.returns).all():  # NumPy would go on in silence
+            raise SilemError("the rollout's rewards or values hold NaN or infinity")
         self._refresh_twin()
         if self._fast is None:
             super().train()
@@ -286,8 +291,6 @@ class PPO(SB3PPO):
         last_values = th.from_numpy(self._values(self._last_obs))
         assert self._last_episode_starts is not None
         buffer.compute_returns_and_advantage(last_values, self._last_episode_starts)
-        if not np.isfinite(buffer.returns).all():  # NumPy would go on, with a policy that stands
-            raise SilemError("the rewards or the value network's returns hold NaN or infinity")
 
     def _sample(self, observations: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if self._fast is not None:

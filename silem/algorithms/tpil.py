@@ -38,8 +38,7 @@ class TPIL(GAIfO):
         encoder_layers: int = 1,
         **kwargs: Any,
     ) -> None:
-        self.gradient_reversal_coef = gradient_reversal_coef
-        self.encoder_layers = encoder_layers
+        self.gradient_reversal_coef, self.encoder_layers = gradient_reversal_coef, encoder_layers
         super().__init__(*args, **kwargs)
 
     def _make_discriminator(self, n_features: int) -> th.nn.Module:

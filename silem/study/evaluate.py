@@ -85,8 +85,9 @@ def seeded(policy: Policy, seed: int) -> Iterator[None]:
     """Have a policy draw from `seed` meanwhile; afterwards all other streams go on as they were."""
     kept = random.getstate(), np.random.get_state(), th.get_rng_state()  # noqa: NPY002
     set_random_seed(seed)  # stable-baselines3's models and policies draw from torch's generator
-    if isinstance(policy, RandomPolicy):
-        policy.reseed(seed)
+    own = None if isinstance(policy, algorithms.PPO) else getattr(policy, "reseed", None)
+    if own:  # a model's is that of its training
+        own(seed)
     try:
         yield
     finally:

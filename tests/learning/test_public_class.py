@@ -476,7 +476,7 @@ class Poisoned(gym.Wrapper):
 def test_rewards_that_are_none_stop_the_training(reward: float) -> None:
     env = Poisoned(gym.make("Pendulum-v1"))
     env.reward = reward
-    with pytest.raises(SilemError, match=r"rewards .* hold NaN or infinity"):
+    with pytest.raises(SilemError, match="rewards or values hold NaN or infinity"):
         silem.PPO("MlpPolicy", env, n_steps=64, batch_size=64, seed=0).learn(128)
 
 

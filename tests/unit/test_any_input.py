@@ -95,7 +95,9 @@ def whole_files(folder: Path) -> dict[str, bytes]:
     Demonstrations((np.zeros((3, 2), np.float32),), (1.0,), "HC0").save(folder / "npz")
     steps = CONFIG.budget.steps_per_iteration
     rows = np.array([curve_row(i, i * steps, {}) for i in (1, 2)])
-    Checkpoint(CONFIG.run_id, 2, 1.0, 0.5, (), "", rows, {"w": np.ones(3)}).save(folder / "tensors")
+    Checkpoint(CONFIG.run_id, 2, 1.0, 0.5, (), (), "", rows, {"w": np.ones(3)}).save(
+        folder / "tensors"
+    )
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
