@@ -150,6 +150,12 @@ class PPO(SB3PPO):
         self._note_begun()
         return prepared
 
+    def begin_episodes(self, env: VecEnv) -> None:
+        """Reset the environments as at `learn`'s start: an imitator's windows begin anew too."""
+        self._last_obs = env.reset()  # type: ignore[assignment]
+        self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+        self._note_begun()
+
     def _note_begun(self) -> None:
         """Remember the episodes under way: a reset puts other infos in the place of theirs."""
         assert self.env is not None
@@ -184,8 +190,7 @@ class PPO(SB3PPO):
             self.policy.reset_noise(env.num_envs)
         callback.on_rollout_start()
         if self._was_reset():
-            self._last_obs = env.reset()  # type: ignore[assignment]
-            self._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+            self.begin_episodes(env)
         self._begin_rollout(env)
         # A rollout that a callback or an error breaks off leaves the environments ahead of what
         # the model saw of them: `learn` begins with new episodes then.

@@ -106,17 +106,16 @@ class Measure:
             unit = other[0] if other[0] > 0 else np.nan
             bound = self.lower if np.isfinite(self.lower) else self.upper
             ours, best = ours / unit, float(ours / samples[1].max(initial=unit))
-            if not np.isnan(unit):
-                ratios = statistics.ratio_interval(*samples)
-            samples[1] = bound * samples[1]
+        compared = [samples[0], bound * samples[1]] if self.per else samples
         low, high = NO_INTERVAL
         if min(counts.values()) >= MIN_TRIALS:
-            low, high = statistics.interval(*samples)
-        tested = bound + low / unit, bound + high / unit
-        interval = ratios if self.per and np.isfinite(tested).all() else tested
+            low, high = statistics.interval(*compared)
+        tested = interval = bound + low / unit, bound + high / unit
+        if self.per and np.isfinite(tested).all():
+            interval = statistics.ratio_interval(*samples)
         planned, power = results.n_trials(frame), np.nan
         if planned > 1 and self.column != "returns":
-            power = statistics.detectable(*samples, n_trials=planned) / unit
+            power = statistics.detectable(*compared, n_trials=planned) / unit
         return Finding(self, ours, interval, counts, power, wins, best, tested)
 
     def _label(self, cell: Cell) -> str:

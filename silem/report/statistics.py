@@ -50,6 +50,8 @@ def ratio_interval(cell: ArrayLike, unit: ArrayLike) -> Interval:
         return NO_INTERVAL
     parts = np.array([one.var(ddof=1) / len(one), other.var(ddof=1) / len(other)])
     freedoms = np.array([len(one) - 1, len(other) - 1])
+    if not parts.any():
+        return (ratio := float(one.mean() / other.mean())), ratio
 
     def beyond(angle: ArrayLike) -> Any:  # the ratio is the angle's tangent
         weights = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -64,11 +66,10 @@ def ratio_interval(cell: ArrayLike, unit: ArrayLike) -> Interval:
     for edge in (-np.pi / 2, np.pi / 2):
         angles = np.linspace(here, edge, 2_000)
         outside = np.flatnonzero(beyond(angles) > 0)
-        between = angles[outside[0] - 1 : outside[0] + 1] if len(outside) and outside[0] else ()
-        if len(between):
-            ends.append(float(np.tan(optimize.brentq(beyond, *between))))
-        else:
-            ends.append(float(np.tan(here)) if len(outside) else float(np.copysign(np.inf, edge)))
+        end = float(np.copysign(np.inf, edge))
+        if len(outside):
+            end = float(np.tan(optimize.brentq(beyond, *angles[outside[0] - 1 : outside[0] + 1])))
+        ends.append(end)
     return ends[0], ends[1]
 
 

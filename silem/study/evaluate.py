@@ -85,9 +85,8 @@ def seeded(policy: Policy, seed: int) -> Iterator[None]:
     """Have a policy draw from `seed` meanwhile; afterwards all other streams go on as they were."""
     kept = random.getstate(), np.random.get_state(), th.get_rng_state()  # noqa: NPY002
     set_random_seed(seed)  # stable-baselines3's models and policies draw from torch's generator
-    own = None if isinstance(policy, algorithms.PPO) else getattr(policy, "reseed", None)
-    if own:  # a model's is that of its training
-        own(seed)
+    if hasattr(policy, "reseed") and not isinstance(policy, algorithms.PPO):  # whose streams train
+        policy.reseed(seed)
     try:
         yield
     finally:
@@ -149,9 +148,8 @@ def episodes(
     try:
         with seeded(policy, seeding.child_seed(seed, "policy")):
             observations: Any = env.reset()
-            infos = env.reset_infos
-            one = infos[0][INFO_KEY] if INFO_KEY in infos[0] else observations[0]
-            of_learner = LearnerFeatures(np.size(one))
+            own = env.reset_infos[0].get(INFO_KEY)
+            of_learner = LearnerFeatures(np.size(observations[0] if own is None else own))
             states = [[row] for row in of_learner.first(env, observations)]
             while left.any():
                 actions, _ = policy.predict(observations, deterministic=False)

@@ -76,8 +76,8 @@ def submission(engine: str, words: Sequence[str], options: Options) -> str:
     exports = [f"export {name}={shlex.quote(value)}" for name, value in environment().items()]
     setup, loop = "\n".join([*exports, *options.setup]), shlex.join(words)
     # bash takes the lines from its own quotes, $'...'; in HTCondor's, either kind is written twice
-    lines = f"{setup}\nexec {loop}".replace("\\", r"\\").replace("'", r"\'").replace("\n", r"\n")
-    quoted = f"eval $'{lines}'".replace("'", "''").replace('"', '""')
+    script = f"{setup}\nexec {loop}".replace("\\", r"\\").replace("'", r"\'").replace("\n", r"\n")
+    quoted = f"eval $'{script}'".replace("'", "''").replace('"', '""')
     said = dataclasses.asdict(options) | {"lines": "\n".join(options.lines), "setup": setup}
     return text.format(
         **said, loop=loop, quoted=quoted.replace("$", "$(DOLLAR)"), again=_AGAIN, stopped=STOPPED,

@@ -210,8 +210,8 @@ class Checkpoint:
                 raise SilemError(f"the checksum of {path} differs")
             told: dict[str, Any]
             told = {n: t if n in _TEXTS else json.loads(t) for n, t in metadata.items()}
-            told |= {name: tuple(told.get(name, ())) for name in ("commits", "processors")}
-            curve = arrays.pop(_CURVE)
+            told["processors"] = tuple(told.get("processors", ()))
+            told["commits"], curve = tuple(told["commits"]), arrays.pop(_CURVE)
             model = {name.removeprefix(_MODEL): array for name, array in arrays.items()}
             found = cls(**told, curve=curve, model=model)
             if found.run_id != config.run_id:
@@ -260,11 +260,7 @@ class Segments(BaseCallback):
         self._end_iteration(save=due)
         if due:  # begin a segment
             env.seed(seeding.child_seed(seed, "env", iteration))
-            # As at learn()'s start; an imitation learner sees by the episode starts that all its
-            # windows begin anew.
-            model._last_obs = np.asarray(env.reset())
-            model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
-            model._note_begun()
+            model.begin_episodes(env)
             model.reseed(seeding.child_seed(seed, "model", iteration))
 
     def _on_step(self) -> bool:

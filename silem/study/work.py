@@ -130,10 +130,10 @@ def _pass(
             continue
         if (name := config.demonstrations) not in experts_are:
             experts_are[name] = {runs.state(expert) for expert in experts_of(config)}
-        budget = config.budget
-        segment_s = (step_s(config) or 0.0) * budget.checkpoint_every * budget.steps_per_iteration
         if "failed" in experts_are[name]:
             continue
+        budget = config.budget
+        segment_s = (step_s(config) or 0.0) * budget.checkpoint_every * budget.steps_per_iteration
         if experts_are[name] - {"finished"}:
             waiting = True
         elif time.monotonic() + segment_s > until:
@@ -355,8 +355,9 @@ def status(study: str, budget: Budget, *which: int | None) -> str:
         for config in learning:
             done = progress_of(config)["iteration"] * config.budget.steps_per_iteration
             hours += (step_s(config) or math.nan) * (config.budget.n_steps - done) / 3600
-        told += f", {hours:.1f} hours for one worker at the speed measured"
-        told += f", {hours / len(at_work):.1f} for {len(at_work)}" if len(at_work) > 1 else ""
         if math.isnan(hours):
-            told = f"{told.partition(',')[0]}, an unknown time: no speed is measured yet"
+            told += ", an unknown time: no speed is measured yet"
+        else:
+            told += f", {hours:.1f} hours for one worker at the speed measured"
+            told += f", {hours / len(at_work):.1f} for {len(at_work)}" if len(at_work) > 1 else ""
     return "\n".join([*lines, told])
