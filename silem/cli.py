@@ -267,7 +267,7 @@ def _words(options: argparse.Namespace) -> list[str]:
     """Return the command line of a loop that does what these options ask for."""
     winner = ["--winner"] if getattr(options, "winner", False) else []
     words = ["search" if winner else "work", *options.studies, *winner]
-    for name in ("budget", "iterations", "trials", "sample", "body", "method", "minutes"):
+    for name in ("budget", "iterations", "trials", "sample", "body", "method"):
         if (said := getattr(options, name, None)) is not None:
             words += [f"--{name}", *map(str, said if isinstance(said, list) else [said])]
     return words + [word for module in options.modules for word in ("--import", module)]
@@ -305,7 +305,7 @@ def _work(options: argparse.Namespace) -> None:
     configs, progress = _configs(options), not options.quiet
     _forgive(options, configs)
     if options.workers:
-        work.crew(_words(options), configs, options.workers, progress)
+        work.crew(_words(options), configs, options.workers, options.minutes or math.inf, progress)
     else:
         work.work(configs, options.minutes or math.inf, progress, made)
 

@@ -178,9 +178,7 @@ def _make(config: RunConfig, progress: bool, until: float, lost: list[str]) -> R
 def failed(configs: Sequence[RunConfig], *, refuse: bool = False) -> dict[str, str]:
     """Return why runs have failed, by run id; to `refuse` raises SilemError if any has."""
     reasons = {}
-    for config in configs:
-        if runs.state(config) != "failed":
-            continue
+    for config in [config for config in configs if runs.state(config) == "failed"]:
         with suppress(FileNotFoundError):
             text = (runs.run_folder(config) / runs.FAILED).read_text(errors="replace")
             reasons[config.run_id] = reason(ValueError(text))
@@ -193,22 +191,29 @@ def failed(configs: Sequence[RunConfig], *, refuse: bool = False) -> dict[str, s
 # ---------------------------------------------------------------- several loops on one machine
 
 
-def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: bool = True) -> None:
+def crew(
+    words: Sequence[str],
+    configs: Sequence[RunConfig],
+    n: int,
+    minutes: float = math.inf,
+    progress: bool = True,
+) -> None:
     """Let `n` processes work, each by the command line ``silem`` `words`, with one bar for all.
 
-    However this process ends, they end with it. One that is killed is started again. Raises
-    SilemError, KeyboardInterrupt: As `work`.
+    However this process ends, they end with it. One that is killed is started again, for what is
+    left of the `minutes`. Raises SilemError, KeyboardInterrupt: As `work`.
     """
     check(configs)
-    command = [sys.executable, "-m", "silem", *words, "--quiet", "--with-input"]
-    log, kills, next_shown = paths.runs_dir() / "work.log", 0, 0.0
+    until, log = time.monotonic() + 60.0 * minutes, paths.runs_dir() / "work.log"
+    kills, next_shown = 0, 0.0
     loops: list[subprocess.Popen[bytes]] = []
     bar = tqdm(total=len(configs), desc="runs", unit="run", disable=not progress)
     try:
         with runs.stoppable(), bar:
-            loops += [_start(command, log) for _ in range(n)]
+            loops += [_start(words, until, log) for _ in range(n)]
             while any(loop.poll() is None or loop.returncode < 0 for loop in loops):
-                kills += _restart(loops, command, log)
+                for i in [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]:
+                    loops[i], kills = _start(words, until, log), kills + 1
                 if kills > _MOST_KILLS * n:
                     raise SilemError(f"workers are killed again and again (log: {log})")
                 if time.monotonic() >= next_shown:
@@ -232,20 +237,15 @@ def crew(words: Sequence[str], configs: Sequence[RunConfig], n: int, progress: b
         raise SilemError(f"workers ended with {codes}: {lines[-1]} (log: {log})")
 
 
-def _restart(loops: "list[subprocess.Popen[bytes]]", command: Sequence[str], log: Path) -> int:
-    """Start the loops again that were killed, and return how many."""
-    killed = [i for i, loop in enumerate(loops) if (loop.poll() or 0) < 0]
-    for i in killed:
-        loops[i] = _start(command, log)
-    return len(killed)
-
-
-def _start(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+def _start(words: Sequence[str], until: float, log: Path) -> subprocess.Popen[bytes]:
     """Start a loop whose input, a pipe, ends when this process does.
 
     It has a session of its own: Ctrl-C in the terminal reaches this process alone, which then
     stops each loop once.
     """
+    command = [sys.executable, "-m", "silem", *words, "--quiet", "--with-input"]
+    if until < math.inf:
+        command += ["--minutes", str(max(1, math.ceil((until - time.monotonic()) / 60)))]
     with open(log, "ab") as stream:
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,

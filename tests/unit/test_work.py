@@ -497,6 +497,36 @@ def test_a_killed_worker_goes_on_and_there_is_nothing_to_do_then(data: Path) -> 
     assert record.stat().st_mtime_ns == before
 
 
+def test_a_worker_that_was_killed_has_the_time_that_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was started again with the whole of it, and a job's worker outlived its job."""
+    now, asked = 0.0, []
+
+    class Loop:
+        """Killed at once, twice."""
+
+        def __init__(self, command: list[str], **kwargs: Any) -> None:
+            asked.append(int(command[command.index("--minutes") + 1]))
+            self.returncode = -signal.SIGKILL if len(asked) < 3 else work.STOPPED
+
+        def poll(self) -> int:
+            return self.returncode
+
+        wait = terminate = poll
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        now += 1490.0
+
+    monkeypatch.setattr(work.subprocess, "Popen", Loop)
+    monkeypatch.setattr(work.time, "monotonic", lambda: now)
+    monkeypatch.setattr(work.time, "sleep", sleep)
+    words = "work halfcheetah --method random --budget tiny --workers 1 --minutes 60 --quiet"
+    assert main(words.split()) == work.STOPPED
+    assert asked == [60, 60, 36]  # the first is started again before any time has passed
+
+
 def test_ctrl_c_stops_every_worker(data: Path) -> None:
     process = started(data, "--iterations", "5000")
     process.send_signal(signal.SIGINT)
