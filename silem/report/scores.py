@@ -277,6 +277,8 @@ def draw_against(
                 draw_trials(axes, place, values.to_numpy(), look)
             if len(known):
                 axes.plot(groups.mean(), color=look.color, lw=1.4)
+    if isinstance(x, Mapping):  # their whole range, however few of the bodies have a run yet
+        grid[0].plot([*x.values()], [0] * len(x), alpha=0, transform=grid[0].get_xaxis_transform())
     return figure
 
 

@@ -259,6 +259,11 @@ def test_scores_and_transforms_stand_against_a_length(frame: pd.DataFrame) -> No
     assert list(line.get_xdata()) == list(LENGTHS.values())
     means = [results.scores(frame, "silem", body).mean() for body in LENGTHS]
     np.testing.assert_allclose(line.get_ydata(), means)
+    few = results.select(frame, ["silem"], ["HC0"])  # the others have no run yet
+    figure = scores.against(few, LENGTHS, "torso (m)", columns, ["silem", "silem-minus"])
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        assert low < 1.0 and 3.0 < high < 3.5
     figure = transforms.against(frame, LENGTHS, "torso (m)", ["pitch", "forward velocity"])
     assert_readable(figure)
     rows = results.cell(frame, "silem", "HC2")["run_id"]
